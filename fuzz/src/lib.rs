@@ -1,7 +1,9 @@
-//! What the fuzzers do with bytes: open them as a file of some kind, and go on as long as that is no error. Nothing may panic,
-//! hang or take much memory, whatever is built must open and be whole, and every error has to be a sentence.
+//! What the fuzzers do with bytes: open them as a file of some kind, and go on as long as that is
+//! no error. Nothing may panic, hang or take much memory, whatever is built must open and be whole,
+//! and every error has to be a sentence.
 //!
-//! An input is a byte that chooses the kind of file, then the file. `tests/it/corpus.rs` writes inputs to begin with.
+//! An input is a byte that chooses the kind of file, then the file. `tests/it/corpus.rs` writes
+//! inputs to begin with.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -136,7 +138,8 @@ pub fn scenes(data: &[u8]) {
         Err(error) => return sentence(&error),
     };
     (scene.settings.width, scene.settings.height) = (4, 4);
-    // Haze of glass around everything may send a ray from every sample, again and again: rightly slow, and nothing to find.
+    // Haze of glass around everything may send a ray from every sample, again and again: rightly
+    // slow, and nothing to find.
     (scene.settings.samples, scene.settings.max_depth) = (1, scene.settings.max_depth.min(1));
     picture(&scene.scene, &scene.camera, &scene.settings);
 }

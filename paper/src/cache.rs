@@ -1,5 +1,5 @@
-//! A record cache: records of one size in memory, found by the lowest bits of their number, retained and released, and
-//! driven out by priority (sections 4.2 and 4.4 of the paper).
+//! A record cache: records of one size in memory, found by the lowest bits of their number,
+//! retained and released, and driven out by priority (sections 4.2 and 4.4 of the paper).
 
 use std::collections::{HashMap, VecDeque};
 use std::io;
@@ -129,7 +129,8 @@ pub struct RecordCache {
     record_bytes: usize,
     /// Records that stand together on disk and are read together.
     group: u64,
-    /// Places that may be taken. There are more where a larger cache was made smaller while they were in use.
+    /// Places that may be taken. There are more where a larger cache was made smaller while they
+    /// were in use.
     limit: usize,
     entries: Vec<Entry>,
     bytes: Vec<u8>,
@@ -172,7 +173,8 @@ impl RecordCache {
         cache
     }
 
-    /// Changes the number of records, also while it is in use: what is retained or on its way stays.
+    /// Changes the number of records, also while it is in use: what is retained or on its way
+    /// stays.
     pub fn set_capacity(&mut self, capacity: usize) {
         let capacity = capacity.max(1);
         self.limit = capacity;
@@ -379,7 +381,8 @@ impl RecordCache {
         }
     }
 
-    /// Asks for records that will be wanted, those that are absent with one call of at most `batch` reads each time.
+    /// Asks for records that will be wanted, those that are absent with one call of at most `batch`
+    /// reads each time.
     ///
     /// # Errors
     /// [`CacheError::Io`] where an earlier read failed.
@@ -466,7 +469,8 @@ impl RecordCache {
         }
     }
 
-    /// Fetches a record that somebody waits for, with those that stand beside it as far as there is room.
+    /// Fetches a record that somebody waits for, with those that stand beside it as far as there is
+    /// room.
     fn fetch(&mut self, disk: &mut dyn Disk, record: u64, priority: u8) -> Result<Slot, CacheError> {
         let slot = match self.place(record, u8::MAX) {
             Some(slot) => slot,
@@ -524,7 +528,8 @@ impl RecordCache {
         Ok(())
     }
 
-    /// Completes reads, first asked for first: all of them where `waits`, else those that have ended.
+    /// Completes reads, first asked for first: all of them where `waits`, else those that have
+    /// ended.
     fn settle(&mut self, disk: &mut dyn Disk, waits: bool) -> Result<(), CacheError> {
         while let Some(&slot) = self.loading.front() {
             if let Some(&(ticket, _)) = self.on_their_way.get(&slot) {
@@ -539,7 +544,8 @@ impl RecordCache {
         Ok(())
     }
 
-    /// A place for a record, if need be that of one of a lower priority, or of the same and used longer ago.
+    /// A place for a record, if need be that of one of a lower priority, or of the same and used
+    /// longer ago.
     fn place(&mut self, record: u64, priority: u8) -> Option<Slot> {
         self.shrink();
         let free = if self.resident() < self.limit { self.free.pop() } else { None };
@@ -552,7 +558,8 @@ impl RecordCache {
         Some(slot)
     }
 
-    /// Drives out the record of least priority, the least recently used among equals, if that is at most `priority`.
+    /// Drives out the record of least priority, the least recently used among equals, if that is at
+    /// most `priority`.
     fn evict(&mut self, priority: u8) -> Option<Slot> {
         let rest = &self.queues[self.least_queue..];
         self.least_queue += rest.iter().take_while(|queue| queue.first == NO_SLOT).count();

@@ -1,4 +1,5 @@
-//! A hard cap on the memory of a process, page cache included: a control group of Linux, version 1 or 2.
+//! A hard cap on the memory of a process, page cache included: a control group of Linux, version 1
+//! or 2.
 
 use std::fs;
 use std::io;
@@ -12,7 +13,8 @@ pub struct Cap {
 }
 
 impl Cap {
-    /// Makes one below that of this process. Nothing where the system has no such groups, or they are not ours to write.
+    /// Makes one below that of this process. Nothing where the system has no such groups, or they
+    /// are not ours to write.
     #[must_use]
     pub fn new(bytes: u64) -> Option<Self> {
         let own = fs::read_to_string("/proc/self/cgroup").ok()?;
@@ -62,8 +64,8 @@ impl Cap {
     }
 }
 
-/// The group that limits the memory of a process, below where the system has its groups, and the version of these: from what
-/// `/proc/self/cgroup` says.
+/// The group that limits the memory of a process, below where the system has its groups, and the
+/// version of these: from what `/proc/self/cgroup` says.
 fn group_of(own: &str) -> Option<(String, u8)> {
     let path_of = |controller: &str| {
         own.lines().find_map(|line| {

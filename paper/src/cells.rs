@@ -1,5 +1,5 @@
-//! The paper's argument of section 3.4: octants against cells of a k-d tree split at the median, both with lists of all
-//! points that reach them, in memory.
+//! The paper's argument of section 3.4: octants against cells of a k-d tree split at the median,
+//! both with lists of all points that reach them, in memory.
 
 use std::cell::Cell;
 
@@ -52,7 +52,8 @@ pub struct Size {
 }
 
 impl Cells {
-    /// Divides a cube while a cell has more points than the limit, at most to its height in octants: three halvings each.
+    /// Divides a cube while a cell has more points than the limit, at most to its height in
+    /// octants: three halvings each.
     #[must_use]
     pub fn build(points: Vec<Point>, (min, max): (DVec3, DVec3), limits: Limits, division: Division) -> Self {
         let mut tree = Self { points, cells: Vec::new(), root: 0 };
@@ -96,7 +97,8 @@ impl Cells {
         self.cells.len() as u32 - 1
     }
 
-    /// Where a cell is halved: in the middle if no point lies in it, and is only reached; nowhere if all of them are at its side.
+    /// Where a cell is halved: in the middle if no point lies in it, and is only reached; nowhere
+    /// if all of them are at its side.
     fn median(&self, (min, max): (DVec3, DVec3), list: &[u32]) -> Option<(usize, f64)> {
         let size = max - min;
         let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b]))?;

@@ -85,8 +85,8 @@ impl RealDisk {
         })
     }
 
-    /// Has the system's file cache read what stands around a read with it, in aligned groups of so many bytes; for files that
-    /// are read through it.
+    /// Has the system's file cache read what stands around a read with it, in aligned groups of so
+    /// many bytes; for files that are read through it.
     ///
     /// # Errors
     /// What the system says.
@@ -105,7 +105,8 @@ struct Around {
 }
 
 impl Around {
-    /// The system forgets groups in its own way: one that others stood in the place of is told again.
+    /// The system forgets groups in its own way: one that others stood in the place of is told
+    /// again.
     const REMEMBERED: usize = 256;
 
     fn new(paths: &[PathBuf], bytes: u64) -> io::Result<Self> {

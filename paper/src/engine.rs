@@ -1,4 +1,5 @@
-//! The discrete ray tracer's side: from a sample to its leaf, from the leaf to its points, from these to the field.
+//! The discrete ray tracer's side: from a sample to its leaf, from the leaf to its points, from
+//! these to the field.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -35,7 +36,8 @@ pub enum EngineError {
     Camera(#[from] CameraError),
 }
 
-/// The path from the root to the leaf of the last sample, all of it retained, and the points of that leaf.
+/// The path from the root to the leaf of the last sample, all of it retained, and the points of
+/// that leaf.
 #[derive(Default)]
 struct Place {
     path: Vec<(u64, Node, Hold)>,
@@ -44,7 +46,8 @@ struct Place {
 }
 
 impl Place {
-    /// Goes to the leaf that holds a sample: up as far as need be, then down. Nothing outside the root.
+    /// Goes to the leaf that holds a sample: up as far as need be, then down. Nothing outside the
+    /// root.
     fn find(
         &mut self,
         records: &mut impl Records,
@@ -107,7 +110,8 @@ impl Place {
     }
 }
 
-/// Algorithm 2 for the leaves that come next on a way, `depth` of them: the paper's is 1. True where all of them are in core.
+/// Algorithm 2 for the leaves that come next on a way, `depth` of them: the paper's is 1. True
+/// where all of them are in core.
 fn look_ahead(
     records: &mut impl Records,
     place: &Place,
@@ -143,7 +147,8 @@ fn next_beyond(leaf: &Node, s: DVec3, way: DVec3) -> Option<DVec3> {
     Some(if leaf.contains(beyond) { beyond + way } else { beyond }).filter(|q| q.is_finite())
 }
 
-/// The field of one object over an index, which other objects may share. The nodes that it retains are given back with it.
+/// The field of one object over an index, which other objects may share. The nodes that it retains
+/// are given back with it.
 pub struct IndexField<R: Records> {
     records: Rc<RefCell<R>>,
     failure: Rc<RefCell<Option<CacheError>>>,
@@ -155,7 +160,8 @@ pub struct IndexField<R: Records> {
 }
 
 impl<R: Records> IndexField<R> {
-    /// The field of an object. `failure` is where the first error goes, since a field has no way to return it.
+    /// The field of an object. `failure` is where the first error goes, since a field has no way to
+    /// return it.
     #[must_use]
     pub fn new(
         object: &CloudObject,

@@ -1,4 +1,5 @@
-//! The file cache of the system, above the simulated disk: blocks of files, least recently used out first.
+//! The file cache of the system, above the simulated disk: blocks of files, least recently used out
+//! first.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
@@ -14,10 +15,11 @@ pub const BLOCK_BYTES: u64 = 4096;
 pub struct FileCaching {
     /// Bytes that it keeps; none where 0.
     pub bytes: u64,
-    /// What is absent comes with what is absent around it, in aligned groups of so many bytes: while an arm seeks, a disk
-    /// of 8 ms and 50 MB/s could read 400 kB.
+    /// What is absent comes with what is absent around it, in aligned groups of so many bytes:
+    /// while an arm seeks, a disk of 8 ms and 50 MB/s could read 400 kB.
     pub around_bytes: u64,
-    /// Points are read past it, record by record: where they do not fit, a block of which one record is used drives out others.
+    /// Points are read past it, record by record: where they do not fit, a block of which one
+    /// record is used drives out others.
     pub not_points: bool,
 }
 
@@ -55,8 +57,8 @@ impl FileCache {
         Self { blocks, around, known: HashMap::new(), by_use: BTreeMap::new(), clock: 0 }
     }
 
-    /// Has all of some blocks of a file brought in, with what is absent around them; `read` starts the read of a run of
-    /// blocks. Returns the reads that bring what is wanted.
+    /// Has all of some blocks of a file brought in, with what is absent around them; `read` starts
+    /// the read of a run of blocks. Returns the reads that bring what is wanted.
     pub(crate) fn bring(
         &mut self,
         wanted: Range<u64>,
@@ -82,7 +84,8 @@ impl FileCache {
         jobs
     }
 
-    /// The absent blocks side by side with an absent one: of its group, and as far as more is wanted.
+    /// The absent blocks side by side with an absent one: of its group, and as far as more is
+    /// wanted.
     fn absent_around(&self, block: u64, wanted_end: u64, file: &Range<u64>) -> Range<u64> {
         let first = (block / self.around * self.around).max(file.start);
         let end = (block / self.around + 1) * self.around;

@@ -1,7 +1,9 @@
-//! The octree by influence on disk, and how it is built: a leaf lists every point whose radius reaches it.
+//! The octree by influence on disk, and how it is built: a leaf lists every point whose radius
+//! reaches it.
 //!
-//! Out of core: points are copied from a cloud file and streamed in through the point controller; lists of points that are to be divided lie in temporary files, read and
-//! written in order; the tree is made depth first, the eight children of a node written together.
+//! Out of core: points are copied from a cloud file and streamed in through the point controller;
+//! lists of points that are to be divided lie in temporary files, read and written in order; the
+//! tree is made depth first, the eight children of a node written together.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -58,8 +60,9 @@ impl Summary {
         (self.nodes + self.secondary) * NODE_BYTES as u64
     }
 
-    /// Seconds that its input and output took on a disk of a seek of so many seconds and so many bytes a second: points in
-    /// and out, lists out and in again, records out; each buffer is a seek.
+    /// Seconds that its input and output took on a disk of a seek of so many seconds and so many
+    /// bytes a second: points in and out, lists out and in again, records out; each buffer is a
+    /// seek.
     #[must_use]
     pub fn build_seconds(&self, seek: f64, bytes_per_second: f64) -> f64 {
         let bytes = (2 * self.point_bytes() + 2 * self.list_bytes + self.index_bytes()) as f64;
@@ -185,11 +188,12 @@ fn root_box(cloud: &Cloud) -> (DVec3, DVec3) {
     (bounds.center() - half, bounds.center() + half)
 }
 
-/// Where a point of a cloud file stands among `count` points here: far from its neighbours in space, as
-/// points in the order of chance do. (A cloud file has them along a curve that fills space.)
+/// Where a point of a cloud file stands among `count` points here: far from its neighbours in
+/// space, as points in the order of chance do. (A cloud file has them along a curve that fills
+/// space.)
 fn scattered(number: u64, count: u64) -> u64 {
-    // Multiplication by a number that has no divisor in common with `count` is a permutation; near the golden ratio of it,
-    // one that sends neighbours apart.
+    // Multiplication by a number that has no divisor in common with `count` is a permutation; near
+    // the golden ratio of it, one that sends neighbours apart.
     let mut factor = ((count as f64 * 0.618_033_988_749_895) as u64).max(1);
     while gcd(factor, count) != 1 {
         factor += 1;

@@ -36,7 +36,8 @@ enum Command {
     },
     /// Render a cloud with the reference engine, and say what it took
     Render(rayset_paper::experiments::render::RenderArgs),
-    /// Render Table 3's scene of some clouds with the engine that ships, once cold and once warm; to be profiled
+    /// Render Table 3's scene of some clouds with the engine that ships, once cold and once warm;
+    /// to be profiled
     Sets(rayset_paper::experiments::sets::SetsArgs),
 }
 

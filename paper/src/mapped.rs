@@ -34,8 +34,8 @@ pub fn open(path: &Path, access: Access) -> io::Result<Flat<Mmap>> {
     Ok(Flat(map))
 }
 
-/// A file in a map, for the engine that ships: it uses pages where they lie, and what the operating system has of the map is
-/// the only memory of them.
+/// A file in a map, for the engine that ships: it uses pages where they lie, and what the operating
+/// system has of the map is the only memory of them.
 ///
 /// # Errors
 /// What the system says.

@@ -1,4 +1,5 @@
-//! Memory that structures stand in: all of it there, or in pages that an operating system brings in when they are touched.
+//! Memory that structures stand in: all of it there, or in pages that an operating system brings in
+//! when they are touched.
 
 use std::ops::Deref;
 

@@ -1,9 +1,10 @@
 //! Which octree node comes next: Algorithm 1 of the paper and its variants.
 //!
-//! The prose of section 4.3 and the printed listing disagree in two places. By the prose, a sample on the line of the last
-//! two tries again where the last attempt did not succeed, one off the line starts a new line from the last two samples,
-//! and the last two are renewed at each access. As printed, an attempt is made only *off* the line, and the two samples
-//! are renewed only while they are not yet set.
+//! The prose of section 4.3 and the printed listing disagree in two places. By the prose, a sample
+//! on the line of the last two tries again where the last attempt did not succeed, one off the line
+//! starts a new line from the last two samples, and the last two are renewed at each access. As
+//! printed, an attempt is made only *off* the line, and the two samples are renewed only while they
+//! are not yet set.
 
 use std::fmt;
 use std::str::FromStr;
@@ -19,7 +20,8 @@ pub enum Variant {
     Line,
     /// By the listing.
     LineAsPrinted,
-    /// By the prose, and the place where a ray starts counts as its first sample: the extension that the paper describes.
+    /// By the prose, and the place where a ray starts counts as its first sample: the extension
+    /// that the paper describes.
     LineOrigins,
 }
 
@@ -106,8 +108,8 @@ impl Predictor {
         }
     }
 
-    /// A sample was taken in a leaf. Returns the way from it to the sample that is expected next, where an attempt is to be
-    /// made to bring in what comes behind the leaf.
+    /// A sample was taken in a leaf. Returns the way from it to the sample that is expected next,
+    /// where an attempt is to be made to bring in what comes behind the leaf.
     pub fn access(&mut self, s: DVec3, leaf: u64) -> Option<DVec3> {
         if self.leaf != Some(leaf) {
             (self.leaf, self.cached) = (Some(leaf), false);
@@ -154,7 +156,8 @@ impl Predictor {
     }
 }
 
-/// Regular accesses of an array: what the point controller predicts while points are streamed in to be processed.
+/// Regular accesses of an array: what the point controller predicts while points are streamed in to
+/// be processed.
 #[derive(Clone, Debug, Default)]
 pub struct Regular {
     last: Option<u64>,
@@ -167,8 +170,8 @@ impl Regular {
     /// Accesses that it looks ahead.
     pub const AHEAD: u64 = 4096;
 
-    /// A record was used. Returns those to ask for: where three in a row are as far apart from each other, those that follow
-    /// as regularly, half of [`AHEAD`](Self::AHEAD) at a time.
+    /// A record was used. Returns those to ask for: where three in a row are as far apart from each
+    /// other, those that follow as regularly, half of [`AHEAD`](Self::AHEAD) at a time.
     pub fn access(&mut self, record: u64) -> Vec<u64> {
         let stride = self.last.replace(record).map(|last| record.wrapping_sub(last) as i64);
         let is_regular = stride.is_some() && stride == self.stride && stride != Some(0);

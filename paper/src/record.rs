@@ -1,8 +1,9 @@
 //! The records of the paper's files, little-endian.
 //!
-//! A node takes 244 bytes, as in the paper (section 4.2, footnote 1): extents, the address of the parent and a flag for
-//! its type; then eight addresses of children, or the references of a leaf. Like an i-node, a leaf has a fixed list of
-//! direct references; those beyond it stand in secondary records of the same size, one after another.
+//! A node takes 244 bytes, as in the paper (section 4.2, footnote 1): extents, the address of the
+//! parent and a flag for its type; then eight addresses of children, or the references of a leaf.
+//! Like an i-node, a leaf has a fixed list of direct references; those beyond it stand in secondary
+//! records of the same size, one after another.
 
 use rayset::geometry::DVec3;
 

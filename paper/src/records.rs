@@ -1,4 +1,5 @@
-//! What the ray tracer asks of an index, and the controllers that answer out of core: node and point caches over a disk.
+//! What the ray tracer asks of an index, and the controllers that answer out of core: node and
+//! point caches over a disk.
 
 use rayset::geometry::DVec3;
 
@@ -38,8 +39,8 @@ pub trait Records {
     fn hint_points(&mut self, _numbers: &[u32], _priority: u8) -> Result<(), CacheError> {
         Ok(())
     }
-    /// Algorithm 2: goes from a node that is retained toward a place without waiting for any record; asks for the first
-    /// that is absent.
+    /// Algorithm 2: goes from a node that is retained toward a place without waiting for any
+    /// record; asks for the first that is absent.
     ///
     /// # Errors
     /// [`CacheError`] where an earlier read failed.
@@ -73,8 +74,8 @@ pub enum Work {
 }
 
 impl Work {
-    /// What it takes, nanoseconds: the order of a processor of the paper's day (1–3 GHz), five times what the in-core engine
-    /// takes on a machine of 2025.
+    /// What it takes, nanoseconds: the order of a processor of the paper's day (1–3 GHz), five
+    /// times what the in-core engine takes on a machine of 2025.
     #[must_use]
     pub fn nanoseconds(self) -> u64 {
         match self {
@@ -110,7 +111,8 @@ pub struct OutOfCore {
 const SECONDARY_PART: usize = 4;
 
 impl OutOfCore {
-    /// Caches over a disk whose files are those of [`Index::files`]; `clock` where its time is counted.
+    /// Caches over a disk whose files are those of [`Index::files`]; `clock` where its time is
+    /// counted.
     #[must_use]
     pub fn new(
         disk: Box<dyn Disk>,
@@ -132,8 +134,8 @@ impl OutOfCore {
         }
     }
 
-    /// Reads so many bytes at a time, whatever is asked for: records that stand side by side in them come together. The paper
-    /// reads eight children together, and all else record by record.
+    /// Reads so many bytes at a time, whatever is asked for: records that stand side by side in
+    /// them come together. The paper reads eight children together, and all else record by record.
     #[must_use]
     pub fn reading(mut self, bytes: usize) -> Self {
         let together = |record: usize| (bytes / record).max(1) as u64;

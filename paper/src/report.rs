@@ -147,7 +147,8 @@ pub fn plot(path: &Path, title: &str, axes: (&str, &str), series: &[Series]) -> 
     area.present().map_err(|e| failed(&e))
 }
 
-/// A place on a logarithmic axis in as few digits as say it; only ones, twos and fives, so that names do not meet.
+/// A place on a logarithmic axis in as few digits as say it; only ones, twos and fives, so that
+/// names do not meet.
 fn tick(v: f64) -> String {
     let power = 10_f64.powf((v.log10() + 1e-9).floor());
     let leading = (v / power).round();
@@ -178,7 +179,8 @@ pub fn bars(path: &Path, title: &str, unit: &str, values: &[(String, f64)]) -> R
         .y_label_area_size(290)
         .build_cartesian_2d(0.0..most * 1.05, 0.0..rows as f64)
         .map_err(|e| failed(&e))?;
-    // The labels of an axis stand at ticks, and bars between them: names are drawn beside their bars instead.
+    // The labels of an axis stand at ticks, and bars between them: names are drawn beside their
+    // bars instead.
     chart
         .configure_mesh()
         .disable_y_mesh()

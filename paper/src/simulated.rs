@@ -1,4 +1,5 @@
-//! A disk of the paper's day, whose time is counted: an arm that seeks, and a queue in the order of its way.
+//! A disk of the paper's day, whose time is counted: an arm that seeks, and a queue in the order of
+//! its way.
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap};
@@ -27,8 +28,9 @@ impl Clock {
     }
 }
 
-/// The arm. It takes what waits in the order of places, from where it is to the end and then from the beginning: the
-/// elevator of the system's queue, for which the paper hands its reads over sixteen at a time.
+/// The arm. It takes what waits in the order of places, from where it is to the end and then from
+/// the beginning: the elevator of the system's queue, for which the paper hands its reads over
+/// sixteen at a time.
 #[derive(Default)]
 pub(crate) struct Arm {
     free_at: u64,
@@ -56,7 +58,8 @@ impl Arm {
         job
     }
 
-    /// Nanoseconds of a read from where the arm is. What lies a little ahead turns to the arm sooner than a seek would take.
+    /// Nanoseconds of a read from where the arm is. What lies a little ahead turns to the arm
+    /// sooner than a seek would take.
     fn duration(&self, place: u64, bytes: usize) -> u64 {
         let pass = |bytes: u64| bytes * 1_000_000_000 / SimulatedDisk::BYTES_PER_SECOND;
         let ahead = place.checked_sub(self.head).map_or(u64::MAX, |gap| pass(gap.min(1 << 30)));
@@ -116,7 +119,8 @@ struct Pending {
 
 /// A disk with an arm, as the paper has it: 8 ms a seek, 50 MB/s, one read after another.
 ///
-/// A place at most 400 kB ahead of the arm, less than a turn of such a disk, passes under it sooner than it seeks.
+/// A place at most 400 kB ahead of the arm, less than a turn of such a disk, passes under it sooner
+/// than it seeks.
 pub struct SimulatedDisk {
     files: Vec<File>,
     lengths: Vec<u64>,

@@ -1,7 +1,7 @@
 //! The in-core program: octree and points as structures in its memory, wherever that is.
 //!
-//! They lie either as the files of an index do, in the order of the tree, or as a program leaves them in its heap that
-//! takes one point after another ([`grow`]).
+//! They lie either as the files of an index do, in the order of the tree, or as a program leaves
+//! them in its heap that takes one point after another ([`grow`]).
 
 use std::fs::File;
 use std::io::Read as _;
@@ -25,7 +25,8 @@ pub struct Layout {
     nodes_at: u64,
     secondary_at: u64,
     points_at: u64,
-    /// Whether the secondary records of a leaf are linked, last first; else they stand side by side.
+    /// Whether the secondary records of a leaf are linked, last first; else they stand side by
+    /// side.
     is_chained: bool,
     end: u64,
 }
@@ -171,8 +172,9 @@ pub fn write_files(index: &Index, path: &Path) -> std::io::Result<Layout> {
     layout_of_files(index)
 }
 
-/// The same octree as a program makes it in its heap: points in an array; the octree grows as it takes one after another,
-/// divides a leaf that has too many, and takes a secondary record where a list has no more room. Returns its memory.
+/// The same octree as a program makes it in its heap: points in an array; the octree grows as it
+/// takes one after another, divides a leaf that has too many, and takes a secondary record where a
+/// list has no more room. Returns its memory.
 ///
 /// `touch` is told of what the program reads (false) and writes (true), from which address on.
 ///

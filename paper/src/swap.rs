@@ -1,5 +1,6 @@
-//! Memory under an operating system that swaps: pages least recently used go to disk, those that were written to before they
-//! go. Time is counted, on the disk of the paper's day: that of reads alone.
+//! Memory under an operating system that swaps: pages least recently used go to disk, those that
+//! were written to before they go. Time is counted, on the disk of the paper's day: that of reads
+//! alone.
 
 use crate::simulated::{Arm, Clock};
 
@@ -54,7 +55,8 @@ impl Swap {
         }
     }
 
-    /// Reads with a page those around it that are on disk, in aligned groups of so many bytes: systems do so.
+    /// Reads with a page those around it that are on disk, in aligned groups of so many bytes:
+    /// systems do so.
     #[must_use]
     pub fn reading_around(mut self, bytes: u64) -> Self {
         self.together = (bytes as usize / OS_PAGE_BYTES).clamp(1, self.most);
@@ -145,7 +147,8 @@ impl Swap {
         self.evictions += 1;
         let page = &mut self.pages[number];
         page.is_resident = false;
-        // Systems gather what they write, and put it side by side: in favour of paging, it takes no time here.
+        // Systems gather what they write, and put it side by side: in favour of paging, it takes no
+        // time here.
         page.is_on_disk |= std::mem::take(&mut page.is_dirty);
     }
 
@@ -172,8 +175,8 @@ impl Swap {
     }
 }
 
-/// When a program last used each page: with pages least recently used out first, the latest are those in memory, whatever
-/// came before and however long it took.
+/// When a program last used each page: with pages least recently used out first, the latest are
+/// those in memory, whatever came before and however long it took.
 #[derive(Default)]
 pub struct LastUses {
     pages: Vec<u64>,

@@ -60,7 +60,8 @@ macro_rules! columns {
                         Some(slice) => to.extend_from_slice(&slice[from..end]),
                         None => to.extend((from..end).map(|i| view[i])),
                     },)*
-                    // The columns of a batch have the types of the schema, which are those of the arrays.
+                    // The columns of a batch have the types of the schema, which are those of the
+                    // arrays.
                     (_, _) => debug_assert!(false, "a column of another type"),
                 }
             }
@@ -72,8 +73,9 @@ columns!(U8: u8, I8: i8, U16: u16, I16: i16, U32: u32, I32: i32, U64: u64, I64: 
 
 /// An array whose numbers stay where they are while this exists.
 ///
-/// It is a view of the caller's array, so that no change of shape reaches it. Every array that the numbers belong to has a weak reference:
-/// NumPy then refuses to resize it, also with `refcheck=False`, which would give back memory that is being read.
+/// It is a view of the caller's array, so that no change of shape reaches it. Every array that the
+/// numbers belong to has a weak reference: NumPy then refuses to resize it, also with
+/// `refcheck=False`, which would give back memory that is being read.
 pub(crate) struct Pinned<'py> {
     array: Bound<'py, PyUntypedArray>,
     _owners: Vec<Bound<'py, PyWeakrefReference>>,
@@ -180,7 +182,8 @@ fn append_rows<T: Copy + Into<f64>>(
     }
 }
 
-/// What a column is besides its numbers: its name, its unit, whether its numbers are labels of classes.
+/// What a column is besides its numbers: its name, its unit, whether its numbers are labels of
+/// classes.
 #[derive(Clone, FromPyObject)]
 pub(crate) struct Named {
     #[pyo3(item)]

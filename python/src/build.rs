@@ -88,7 +88,8 @@ impl Options {
 /// What a point of a cloud takes at least.
 const LEAST_POINT_BYTES: u64 = 6;
 
-/// Builds a cloud of arrays. Returns it with the numbers of records that were skipped for their positions, radii and weights.
+/// Builds a cloud of arrays. Returns it with the numbers of records that were skipped for their
+/// positions, radii and weights.
 #[pyfunction]
 pub(crate) fn build_arrays(
     positions: &Bound<'_, PyUntypedArray>,

@@ -1,4 +1,5 @@
-//! Points from an iterator of Python, a chunk at a time, so that what does not fit in memory can be built.
+//! Points from an iterator of Python, a chunk at a time, so that what does not fit in memory can be
+//! built.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
@@ -14,7 +15,8 @@ use crate::wait::lock;
 /// What an iterator raised, for whoever started the build.
 pub(crate) type Raised = Arc<Mutex<Option<PyErr>>>;
 
-/// A chunk: positions, and columns in the order of the schema. All chunks have the types of the first.
+/// A chunk: positions, and columns in the order of the schema. All chunks have the types of the
+/// first.
 #[derive(FromPyObject)]
 pub(crate) struct Chunk(Py<PyUntypedArray>, Vec<Py<PyUntypedArray>>);
 

@@ -1,4 +1,5 @@
-//! Exceptions: the library's errors, with the same words, in a small hierarchy. Addresses in them are without what grants access.
+//! Exceptions: the library's errors, with the same words, in a small hierarchy. Addresses in them
+//! are without what grants access.
 
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;

@@ -18,8 +18,8 @@ use crate::errors;
 /// The longest scene that is read from an address, in bytes.
 const MOST_TEXT: u64 = 1 << 28;
 
-/// Opens addresses in this process from now on, as the environment says it (`RAYSET_FAR_CACHE`); without a cache, with a warning, if
-/// that cannot be used.
+/// Opens addresses in this process from now on, as the environment says it (`RAYSET_FAR_CACHE`);
+/// without a cache, with a warning, if that cannot be used.
 pub(crate) fn open_addresses(py: Python<'_>) -> PyResult<()> {
     let open = |settings: &Settings| rayset_far::open_addresses(settings).map_err(|error| error.to_string());
     if let Err(what) = Settings::of_environment(values::size).and_then(|settings| open(&settings)) {
@@ -37,7 +37,8 @@ pub(crate) fn beside(folder: PathBuf, path: PathBuf) -> OsString {
     storage::beside(&folder, &path).into()
 }
 
-/// The length of each file or object, and what tells an object from others at its address. Nothing that was looked at a moment ago is looked at again.
+/// The length of each file or object, and what tells an object from others at its address. Nothing
+/// that was looked at a moment ago is looked at again.
 #[pyfunction]
 pub(crate) fn versions(py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Vec<(u64, Option<String>)>> {
     let look = |path: &Path| -> io::Result<(u64, Option<String>)> {
@@ -64,7 +65,8 @@ pub(crate) fn versions(py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Vec<(u64
     })
 }
 
-/// What tells an object from others at its address; `None` for files, and where the server says nothing.
+/// What tells an object from others at its address; `None` for files, and where the server says
+/// nothing.
 pub(crate) fn version(storage: Option<&Arc<dyn Storage>>) -> Option<String> {
     storage.and_then(|storage| storage.version())
 }

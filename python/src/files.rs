@@ -150,8 +150,9 @@ impl CloudFile {
         Ok((positions.into_pyarray(py), columns.collect()))
     }
 
-    /// The scene that it is rendered as if nobody says more than `arguments`, an object of JSON: the scene as JSON, what is said of it, the name of the look, and what is up; with `turns` also what the cameras of a turntable turn about, of which its
-    /// camera is the first.
+    /// The scene that it is rendered as if nobody says more than `arguments`, an object of JSON:
+    /// the scene as JSON, what is said of it, the name of the look, and what is up; with `turns`
+    /// also what the cameras of a turntable turn about, of which its camera is the first.
     #[pyo3(signature = (arguments, size, turns = false))]
     fn look(&self, py: Python<'_>, arguments: &str, size: (u32, u32), turns: bool) -> PyResult<ChosenLook> {
         looks::chosen(py, arguments, Picture { size, turns }, |style, picture| {
@@ -218,7 +219,8 @@ impl GridFile {
         Ok(all)
     }
 
-    /// All voxels as they are stored, as an array of three axes, z first; `scale` and `offset` of the values besides.
+    /// All voxels as they are stored, as an array of three axes, z first; `scale` and `offset` of
+    /// the values besides.
     fn voxels<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray1<f32>>, f64, f64)> {
         let count = self.grid.header().size.iter().fold(1, |all: u64, &n| all.saturating_mul(n));
         room::check(count, 4, "the grid as an array", "render it, or build one of fewer voxels")?;
@@ -314,8 +316,9 @@ impl Host for Package<'_> {
     }
 }
 
-/// Opens a scene, a cloud, a grid, or files of points or voxels, which are built into the cache in `cache`, the user's if `None`, or
-/// into a temporary file if `keep` is false. Returns what there is to say besides.
+/// Opens a scene, a cloud, a grid, or files of points or voxels, which are built into the cache in
+/// `cache`, the user's if `None`, or into a temporary file if `keep` is false. Returns what there
+/// is to say besides.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "what is opened, where what is built goes, and by what means")]
 pub(crate) fn open_files(

@@ -1,5 +1,5 @@
-//! The module `rayset._native`: the engine, as the package's own Python uses it. What people call is in `rayset/*.py`; arguments
-//! come here checked and in one form.
+//! The module `rayset._native`: the engine, as the package's own Python uses it. What people call
+//! is in `rayset/*.py`; arguments come here checked and in one form.
 
 mod arrays;
 mod build;

@@ -13,8 +13,8 @@ use crate::room;
 /// A place on the axis that the cameras of a turntable turn about, and its direction.
 pub(crate) type TurnsAbout = ([f64; 3], [f64; 3]);
 
-/// A scene as JSON, what is said of it, the name of the look, what is up, and of the first picture of a turntable what its cameras
-/// turn about.
+/// A scene as JSON, what is said of it, the name of the look, what is up, and of the first picture
+/// of a turntable what its cameras turn about.
 pub(crate) type ChosenLook = (String, String, String, String, Option<TurnsAbout>);
 
 /// The style of an object of JSON whose keys are names of arguments.

@@ -1,4 +1,5 @@
-//! Pictures in parts, which are rendered by several processes and joined by one; and the cameras of turntables and animations.
+//! Pictures in parts, which are rendered by several processes and joined by one; and the cameras of
+//! turntables and animations.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -23,7 +24,8 @@ use crate::wait::{self, Progress};
 /// Most pixels of a part that are held while it is rendered; with layers they take 15 MiB.
 const HELD_PIXELS: u64 = 1 << 18;
 
-/// Names of the vector instructions of this processor, the best first, and whether they are of the class with fused multiply–add.
+/// Names of the vector instructions of this processor, the best first, and whether they are of the
+/// class with fused multiply–add.
 #[pyfunction]
 pub(crate) fn instructions() -> Vec<(&'static str, bool)> {
     SimdLevel::available().into_iter().map(|level| (level.name(), level.is_fused())).collect()
@@ -46,7 +48,8 @@ fn display(note: &[u8]) -> Option<DisplayTransform> {
     Some(DisplayTransform { exposure: f64::from_le_bytes(exposure.try_into().ok()?), tone_mapping })
 }
 
-/// Renders share `number` of `of` of a picture, or of a smaller one whose pixels are squares of `edge` pixels. Returns the bytes of the part.
+/// Renders share `number` of `of` of a picture, or of a smaller one whose pixels are squares of
+/// `edge` pixels. Returns the bytes of the part.
 #[pyfunction]
 #[pyo3(signature = (session, job, share, told, edge = 1))]
 pub(crate) fn render_part<'py>(
@@ -79,7 +82,8 @@ pub(crate) fn render_part<'py>(
 /// A part of a picture with a name for messages.
 type Named = (String, PyBackedBytes);
 
-/// The parts of a picture; of those that are missing there is nothing, if `partly`. Pictures are the caller's, and no budget counts them.
+/// The parts of a picture; of those that are missing there is nothing, if `partly`. Pictures are
+/// the caller's, and no budget counts them.
 fn joined(parts: Vec<Named>, partly: bool) -> Result<(Joined, Picture), Failure> {
     let parts = parts.into_iter().map(|(name, bytes)| {
         let storage: Arc<dyn Storage> = Arc::new(MemoryStorage::new(Arc::new(bytes)));
@@ -97,7 +101,8 @@ fn joined(parts: Vec<Named>, partly: bool) -> Result<(Joined, Picture), Failure>
     Ok((joined, picture))
 }
 
-/// Joins the parts of a picture. Those that are missing are an error, unless there is a picture below them.
+/// Joins the parts of a picture. Those that are missing are an error, unless there is a picture
+/// below them.
 #[pyfunction]
 #[pyo3(signature = (parts, below = None))]
 pub(crate) fn join_parts(py: Python<'_>, parts: Vec<Named>, below: Option<&Picture>) -> PyResult<Picture> {
@@ -140,8 +145,9 @@ pub(crate) fn join_coarse(
     picture.map_err(|failure: Failure| render::raised(py, failure))
 }
 
-/// What each of `of` shares of part `crop` of a picture is expected to cost. `costs` are those of the pixels of a coarse picture, row after
-/// row, each of which stands for a square of pixels with this `edge`.
+/// What each of `of` shares of part `crop` of a picture is expected to cost. `costs` are those of
+/// the pixels of a coarse picture, row after row, each of which stands for a square of pixels with
+/// this `edge`.
 #[pyfunction]
 pub(crate) fn share_costs(costs: Vec<f64>, crop: [u32; 4], edge: u32, of: u32) -> Vec<f64> {
     let [x, y, width, height] = crop;
@@ -161,7 +167,8 @@ pub(crate) fn share_costs(costs: Vec<f64>, crop: [u32; 4], edge: u32, of: u32) -
     Share::all(of).map(|share| share.squares(&region).map(of_square).sum()).collect()
 }
 
-/// The numbers of a camera by the keys that scenes have for them; those of one number have a list of one.
+/// The numbers of a camera by the keys that scenes have for them; those of one number have a list
+/// of one.
 fn numbers(camera: &Camera) -> HashMap<&'static str, Vec<f64>> {
     let mut all = HashMap::from([
         ("position", camera.position.to_array().to_vec()),
@@ -179,9 +186,10 @@ fn numbers(camera: &Camera) -> HashMap<&'static str, Vec<f64>> {
 /// What the numbers of a camera take, with their keys.
 const CAMERA_BYTES: u64 = 1024;
 
-/// The cameras of a turntable of so many pictures, or else of the animation of the scene: of all its frames. `about` is what the
-/// cameras of a turntable turn about, if the camera of the scene was chosen to be the first; otherwise it is the middle of the scene,
-/// and a camera that frames it stands back until all of them see it.
+/// The cameras of a turntable of so many pictures, or else of the animation of the scene: of all
+/// its frames. `about` is what the cameras of a turntable turn about, if the camera of the scene
+/// was chosen to be the first; otherwise it is the middle of the scene, and a camera that frames it
+/// stands back until all of them see it.
 #[pyfunction]
 pub(crate) fn cameras(
     py: Python<'_>,

@@ -24,7 +24,8 @@ pub(crate) struct Points {
     /// Files, and no patterns or folders any more.
     #[pyo3(item)]
     files: Vec<PathBuf>,
-    /// Whether a person named each; one that a folder or a pattern named is left out if it is damaged.
+    /// Whether a person named each; one that a folder or a pattern named is left out if it is
+    /// damaged.
     #[pyo3(item)]
     by_name: Vec<bool>,
     /// Names of the columns of text files and of arrays.
@@ -70,8 +71,8 @@ impl Points {
     }
 }
 
-/// The files of points that paths, patterns and folders name, and whether each was named by itself. None of them may be that which
-/// is written.
+/// The files of points that paths, patterns and folders name, and whether each was named by itself.
+/// None of them may be that which is written.
 #[pyfunction]
 pub(crate) fn expand(
     py: Python<'_>,
@@ -99,8 +100,8 @@ pub(crate) fn expand(
     found.map_err(|error| errors::of_input(py, error))
 }
 
-/// Builds a cloud of files. Returns it with the numbers of records that were skipped for their positions, radii and weights, and
-/// with what there is to say of the files.
+/// Builds a cloud of files. Returns it with the numbers of records that were skipped for their
+/// positions, radii and weights, and with what there is to say of the files.
 #[pyfunction]
 pub(crate) fn build_files(
     py: Python<'_>,

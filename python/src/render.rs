@@ -52,8 +52,8 @@ struct Last {
     far: FarFiles,
 }
 
-/// What is to be rendered: a scene as JSON, what distinguishes it but for its camera, the folder that its paths are relative to, and
-/// the clouds and grids that it knows by their names.
+/// What is to be rendered: a scene as JSON, what distinguishes it but for its camera, the folder
+/// that its paths are relative to, and the clouds and grids that it knows by their names.
 #[derive(FromPyObject)]
 pub(crate) struct Job {
     #[pyo3(item)]
@@ -169,7 +169,8 @@ impl Shot {
         self.prepared.view(&self.camera)
     }
 
-    /// The same as a smaller picture of one ray a pixel, each of which stands for a square of pixels with this edge: its view and region.
+    /// The same as a smaller picture of one ray a pixel, each of which stands for a square of
+    /// pixels with this edge: its view and region.
     pub(crate) fn coarse(&self, edge: u32) -> Result<(View, Region), RenderError> {
         let (width, height) = self.size;
         let (small_width, small_height) = (width.div_ceil(edge), height.div_ceil(edge));
@@ -282,7 +283,8 @@ fn region(crop: Option<[u32; 4]>, (width, height): (u32, u32)) -> Result<Region,
 
 #[pymethods]
 impl Session {
-    /// `memory` bounds what it allocates, in bytes. `simd` is the class of vector instructions, by default the best.
+    /// `memory` bounds what it allocates, in bytes. `simd` is the class of vector instructions, by
+    /// default the best.
     #[new]
     #[pyo3(signature = (memory, threads, simd = None))]
     fn new(

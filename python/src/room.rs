@@ -1,4 +1,5 @@
-//! Memory for what a caller names the size of: refused by an exception of Python, where a failed allocation would end the process.
+//! Memory for what a caller names the size of: refused by an exception of Python, where a failed
+//! allocation would end the process.
 
 use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
@@ -15,11 +16,13 @@ impl From<TooLarge> for PyErr {
     }
 }
 
-/// Checks that `count` things of `each` bytes fit. `what` says what they are, `advice` what to do otherwise.
+/// Checks that `count` things of `each` bytes fit. `what` says what they are, `advice` what to do
+/// otherwise.
 pub(crate) fn check(count: u64, each: u64, what: &str, advice: &str) -> Result<(), TooLarge> {
     let needed = count.saturating_mul(each);
     let free = free_bytes();
-    // What the system promises is more than it has; what it does not even promise is out of the question.
+    // What the system promises is more than it has; what it does not even promise is out of the
+    // question.
     let is_promised =
         usize::try_from(needed).is_ok_and(|needed| Vec::<u8>::new().try_reserve_exact(needed).is_ok());
     if is_promised && free.is_none_or(|free| needed <= free) {

@@ -13,7 +13,8 @@ use crate::errors;
 use crate::points::Points;
 use crate::wait::{self, Progress};
 
-/// A build in parts: the folder through which they exchange their results, their number, and what says that they are of one build.
+/// A build in parts: the folder through which they exchange their results, their number, and what
+/// says that they are of one build.
 #[derive(FromPyObject)]
 pub(crate) struct Parts {
     #[pyo3(item)]
@@ -30,7 +31,8 @@ impl Parts {
     }
 }
 
-/// The name of the first step that has not been done, once all parts of those before have; `None` if all have.
+/// The name of the first step that has not been done, once all parts of those before have; `None`
+/// if all have.
 #[pyfunction]
 pub(crate) fn next_step(py: Python<'_>, parts: Parts) -> PyResult<Option<&'static str>> {
     let step = py.detach(|| parts.of_library()?.next_step(1));

@@ -51,8 +51,8 @@ impl Read for Slabs {
     }
 }
 
-/// Builds a grid file at `path` of slabs of bytes, x fastest: `size` voxels along x, y and z, of `kind` `u8`, `i16`, `u16` or `f32`,
-/// whose centres `matrix`, three rows of four, places.
+/// Builds a grid file at `path` of slabs of bytes, x fastest: `size` voxels along x, y and z, of
+/// `kind` `u8`, `i16`, `u16` or `f32`, whose centres `matrix`, three rows of four, places.
 #[pyfunction]
 #[expect(clippy::too_many_arguments, reason = "what voxels are, where they go, and by what means")]
 pub(crate) fn build_grid(

@@ -1,4 +1,5 @@
-//! Work that Python waits for: on a thread of its own, without the interpreter's lock, ended by Ctrl-C.
+//! Work that Python waits for: on a thread of its own, without the interpreter's lock, ended by
+//! Ctrl-C.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -102,8 +103,9 @@ impl<T> Drop for Closing<'_, T> {
     }
 }
 
-/// Runs `work` on a thread of its own, and waits for it without the interpreter's lock. A signal whose handler raises, and a
-/// `told` that raises, cancel the work; their exception is returned when the work has ended.
+/// Runs `work` on a thread of its own, and waits for it without the interpreter's lock. A signal
+/// whose handler raises, and a `told` that raises, cancel the work; their exception is returned
+/// when the work has ended.
 pub(crate) fn run<T: Send>(
     py: Python<'_>,
     cancel: &CancelToken,

@@ -5,10 +5,12 @@ use std::sync::Arc;
 use crate::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use crate::sync::{Mutex, lock};
 
-/// Stops a render or a build, from any thread. Clones share one state; once cancelled, it stays cancelled.
+/// Stops a render or a build, from any thread. Clones share one state; once cancelled, it stays
+/// cancelled.
 ///
-/// Work checks its token in its inner loops, and cancelling it ends all waits: a call returns within milliseconds and leaves
-/// no page retained and no temporary file behind. Work that has other tokens continues.
+/// Work checks its token in its inner loops, and cancelling it ends all waits: a call returns
+/// within milliseconds and leaves no page retained and no temporary file behind. Work that has
+/// other tokens continues.
 #[derive(Clone, Default)]
 pub struct CancelToken {
     inner: Arc<Inner>,
@@ -37,7 +39,8 @@ impl CancelToken {
         Self::default()
     }
 
-    /// Cancels all work that has this token. Returns at once; the calls that do the work return shortly after.
+    /// Cancels all work that has this token. Returns at once; the calls that do the work return
+    /// shortly after.
     pub fn cancel(&self) {
         self.inner.cancelled.store(true, Ordering::SeqCst);
         // Called without holding the lock, because they take locks of their own.
@@ -51,8 +54,9 @@ impl CancelToken {
         self.inner.cancelled.load(Ordering::Relaxed)
     }
 
-    /// Calls `waker` when this token is cancelled, until the registration is dropped. A waiting thread registers first, then
-    /// checks the token under the lock that `waker` takes, then waits, so that no cancellation is missed.
+    /// Calls `waker` when this token is cancelled, until the registration is dropped. A waiting
+    /// thread registers first, then checks the token under the lock that `waker` takes, then waits,
+    /// so that no cancellation is missed.
     #[doc(hidden)]
     pub fn register(&self, waker: Waker) -> Registration<'_> {
         let number = self.inner.last_number.fetch_add(1, Ordering::Relaxed);

@@ -1,5 +1,5 @@
-//! What all crates of rayset stand on: geometry, cancelling, errors of names, regular files, and numbers as files have
-//! them. A part of the library `rayset`, which says what of it is public.
+//! What all crates of rayset stand on: geometry, cancelling, errors of names, regular files, and
+//! numbers as files have them. A part of the library `rayset`, which says what of it is public.
 #![deny(unsafe_code)]
 
 pub mod cancel;

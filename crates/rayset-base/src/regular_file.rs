@@ -1,6 +1,6 @@
-//! Opening files whose paths come from users: anything that is not a regular file is an error before any of it is read.
-//! Reading a pipe would wait for a writer, and a device may never end. And reading what is buffered of them, whatever signals
-//! come.
+//! Opening files whose paths come from users: anything that is not a regular file is an error
+//! before any of it is read. Reading a pipe would wait for a writer, and a device may never end.
+//! And reading what is buffered of them, whatever signals come.
 
 use std::fs::{File, FileType, OpenOptions};
 use std::io::{self, BufRead};
@@ -25,8 +25,8 @@ pub fn open(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// What the buffer of a reader holds, filled if it is empty; empty at the end. Unlike `fill_buf`, it tries again if a signal
-/// interrupts the read.
+/// What the buffer of a reader holds, filled if it is empty; empty at the end. Unlike `fill_buf`,
+/// it tries again if a signal interrupts the read.
 pub fn held<R: BufRead + ?Sized>(input: &mut R) -> io::Result<&[u8]> {
     loop {
         match input.fill_buf() {

@@ -1,6 +1,7 @@
 //! Setters of options, so that options can be added without breaking callers.
 
-/// Defines a method `with_…` for each field, which takes its value: `setters!(Options { with_size => size: u32, … })`.
+/// Defines a method `with_…` for each field, which takes its value:
+/// `setters!(Options { with_size => size: u32, … })`.
 #[macro_export]
 macro_rules! setters {
     ($options:ident { $($setter:ident => $field:ident: $value:ty),* $(,)? }) => {

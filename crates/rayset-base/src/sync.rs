@@ -1,5 +1,5 @@
-//! The synchronization primitives of the page pool: the standard library's, or those of a model checker that runs many
-//! interleavings (feature `model`, for this project's own tests).
+//! The synchronization primitives of the page pool: the standard library's, or those of a model
+//! checker that runs many interleavings (feature `model`, for this project's own tests).
 
 #[cfg(not(feature = "model"))]
 pub use std::sync::{Condvar, Mutex, MutexGuard, atomic};
@@ -14,8 +14,8 @@ pub use shuttle::thread;
 use std::sync::{PoisonError, TryLockError};
 use std::time::Duration;
 
-/// Locks a mutex, poisoned or not. The data are consistent even after a panic: no thread panics in the middle of a change
-/// while it holds one of these locks.
+/// Locks a mutex, poisoned or not. The data are consistent even after a panic: no thread panics in
+/// the middle of a change while it holds one of these locks.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -32,8 +32,8 @@ pub fn lock_counting<'a, T>(mutex: &'a Mutex<T>, waits: &atomic::AtomicU64) -> M
     }
 }
 
-/// Waits for a notification, for at most `limit`. The model checker does not model time: there, only a notification ends a
-/// wait.
+/// Waits for a notification, for at most `limit`. The model checker does not model time: there,
+/// only a notification ends a wait.
 pub fn wait_timeout<'a, T>(
     condvar: &Condvar,
     guard: MutexGuard<'a, T>,

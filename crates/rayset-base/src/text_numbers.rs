@@ -9,8 +9,8 @@ const MOST_LETTERS: usize = 64;
 
 /// The type of the numbers of an array.
 pub trait TextNumber {
-    /// Parses a number and returns its little-endian bytes and their count. `None` if the text is not a number of this
-    /// type, or is out of range.
+    /// Parses a number and returns its little-endian bytes and their count. `None` if the text is
+    /// not a number of this type, or is out of range.
     fn parse(&self, text: &str) -> Option<([u8; 8], usize)>;
     /// The name of the type, as in `u8`.
     fn type_name(&self) -> String;
@@ -56,7 +56,8 @@ fn invalid(what: String) -> io::Error {
 }
 
 impl<R: BufRead, N: TextNumber> TextNumbers<R, N> {
-    /// Reads `count` numbers of the type `number` from `text`, and then what is to stand behind them.
+    /// Reads `count` numbers of the type `number` from `text`, and then what is to stand behind
+    /// them.
     pub fn new(text: R, number: N, count: u64, behind: Behind) -> Self {
         Self { text, number, count, behind, done: 0, ready: [0; 8], at: 0, end: 0 }
     }

@@ -19,12 +19,14 @@ use crate::report;
 
 /// Build and render the standard workloads, and say how long it took.
 ///
-/// Each workload is written as a PLY file, built from that, and rendered several times in one process at 512x512 from
-/// (0, 0, 3), with the triweight kernel, steps of a quarter radius, no shading; opaque (extinction 2/r, rays end at
-/// 1 %) or translucent (0.02/r, every sample taken). Times are medians.
+/// Each workload is written as a PLY file, built from that, and rendered several times in one
+/// process at 512x512 from (0, 0, 3), with the triweight kernel, steps of a quarter radius, no
+/// shading; opaque (extinction 2/r, rays end at 1 %) or translucent (0.02/r, every sample taken).
+/// Times are medians.
 #[derive(Args)]
 pub(crate) struct BenchArgs {
-    /// sphere-N or cube-N; the four standard ones by default. With --scenes, words that the names of scenes contain
+    /// sphere-N or cube-N; the four standard ones by default. With --scenes, words that the names
+    /// of scenes contain
     workloads: Vec<String>,
     /// Every sample is taken
     #[arg(long)]
@@ -35,13 +37,16 @@ pub(crate) struct BenchArgs {
     /// Memory for the whole process; enough for all pages by default
     #[arg(long, value_parser = values::size)]
     memory: Option<u64>,
-    /// Also out of core: a tenth of the pages, past the page cache, as the disk is and with 2 ms added to every read
+    /// Also out of core: a tenth of the pages, past the page cache, as the disk is and with 2 ms
+    /// added to every read
     #[arg(long)]
     out_of_core: bool,
-    /// What each feature of a scene costs instead: light, shadows, mirrors, operators; over knot-200k by default
+    /// What each feature of a scene costs instead: light, shadows, mirrors, operators; over
+    /// knot-200k by default
     #[arg(long, conflicts_with_all = ["translucent", "memory", "out_of_core"])]
     features: bool,
-    /// Whole scenes instead, of generated data, on one thread and on two: grids, figures, lights, mirrors, glass
+    /// Whole scenes instead, of generated data, on one thread and on two: grids, figures, lights,
+    /// mirrors, glass
     #[arg(long, conflicts_with_all = ["translucent", "memory", "out_of_core", "features", "threads"])]
     scenes: bool,
     /// Count the instructions of each scene, too, with Valgrind
@@ -124,7 +129,8 @@ fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
         if args.out_of_core {
             cases.extend(Case::out_of_core());
         }
-        // Each round goes through all cases, so that other load on the machine affects all of them alike.
+        // Each round goes through all cases, so that other load on the machine affects all of them
+        // alike.
         results.extend(prepared.measure(
             &cases,
             args.translucent,
@@ -145,7 +151,8 @@ fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
     })
 }
 
-/// Kernel evaluations per second in the best of several bursts: what the processor can do undisturbed.
+/// Kernel evaluations per second in the best of several bursts: what the processor can do
+/// undisturbed.
 fn bare_evaluations_per_second(simd: SimdLevel) -> f64 {
     const POINTS: usize = 4096;
     let points: Vec<[f32; 5]> = (0..POINTS)

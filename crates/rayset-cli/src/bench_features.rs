@@ -42,7 +42,8 @@ pub(crate) struct Cost {
     bounced_rays: u64,
 }
 
-/// Renders the cloud with every feature `repeat` times, in turns, after one round that does not count.
+/// Renders the cloud with every feature `repeat` times, in turns, after one round that does not
+/// count.
 pub(crate) fn measure(
     cloud: &Arc<Cloud>,
     camera: &Camera,
@@ -116,7 +117,8 @@ fn features(cloud: &Arc<Cloud>) -> Vec<Feature> {
         let given = [0.4, -0.5, 0.0].into_iter().take(count).map(|x| sun(x, shadow));
         std::iter::once(ambient).chain(given).collect()
     };
-    // A fixed step, for the same samples in every picture: automatic steps also depend on the other objects.
+    // A fixed step, for the same samples in every picture: automatic steps also depend on the other
+    // objects.
     let plain = RenderSettings::default().with_step(Step::Fixed(0.25 * unit_distance));
     let cached = plain.with_shadows(Shadows::Cached { resolution: 512 });
     let of = |root: Node, lights: Option<Vec<Light>>| Scene {

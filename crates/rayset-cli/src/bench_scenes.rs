@@ -1,4 +1,5 @@
-//! What whole scenes cost: a fixed set of grids, figures of the paper, lights, mirrors and glass, all of generated data.
+//! What whole scenes cost: a fixed set of grids, figures of the paper, lights, mirrors and glass,
+//! all of generated data.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -68,7 +69,8 @@ pub(crate) struct Measured {
     pages: PageStatistics,
 }
 
-/// Prepares the scenes and renders each of them on one thread and on two, in turns, after one round that does not count.
+/// Prepares the scenes and renders each of them on one thread and on two, in turns, after one round
+/// that does not count.
 pub(crate) fn measure(options: &Options<'_>) -> Result<Vec<Measured>> {
     let scenes = prepare(options)?;
     let mut results = Vec::new();
@@ -108,7 +110,8 @@ impl Run {
         Ok(Self { session, threads, seconds, cpu_seconds, counts: RenderCounts::default(), peak: None })
     }
 
-    /// Renders once; tables of shadows are computed anew, the pages of files are there from the second time on.
+    /// Renders once; tables of shadows are computed anew, the pages of files are there from the
+    /// second time on.
     fn render(&mut self, file: &SceneFile, counts: bool) -> Result<()> {
         self.session.reset_statistics();
         reset_peak_rss();
@@ -208,8 +211,8 @@ fn prepare(options: &Options<'_>) -> Result<Vec<(String, PathBuf)>> {
     Ok(scenes)
 }
 
-/// Builds a grid of bytes, `side` voxels a side: a head of skin, skull and brain, roughly. Its voxels stay beside it in a
-/// raw file, for other programs to read.
+/// Builds a grid of bytes, `side` voxels a side: a head of skin, skull and brain, roughly. Its
+/// voxels stay beside it in a raw file, for other programs to read.
 fn grid(folder: &Path, side: u64) -> Result<()> {
     let (raw, path) = (folder.join(format!("grid-{side}.raw")), folder.join(format!("grid-{side}.rset")));
     if path.exists() {

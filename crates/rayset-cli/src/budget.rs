@@ -55,7 +55,8 @@ pub(crate) fn name_smallest_grid_budget(error: GridBuildError, budget: Budget) -
     }
 }
 
-/// The library is given the budget less the memory of the process itself; its error must state the whole budget.
+/// The library is given the budget less the memory of the process itself; its error must state the
+/// whole budget.
 pub(crate) fn name_smallest_budget(error: build::BuildError, budget: Budget) -> anyhow::Error {
     match error {
         build::BuildError::Memory { needed, .. } => {

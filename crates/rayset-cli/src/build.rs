@@ -23,30 +23,33 @@ use crate::report;
 
 /// Build a cloud file from points, or a grid file from a volume.
 ///
-/// Several inputs of points make one cloud. The result is the same, byte for byte, for any --memory and --threads.
+/// Several inputs of points make one cloud. The result is the same, byte for byte, for any --memory
+/// and --threads.
 #[derive(Args)]
 pub(crate) struct BuildArgs {
-    /// Points: PLY, LAS, LAZ, COPC, E57, PCD, PTX, PTS, XYZ, TXT, CSV, ASC, NPY, NPZ, VTK, VTP or VTU files; BIN of KITTI
-    /// and nuScenes; snapshots of simulations (HDF5 of GADGET, SWIFT, AREPO, EAGLE, Illustris; GADGET 1 and 2); Gaussian
-    /// splats (PLY, SPZ, SPLAT, KSPLAT); meshes (OBJ, OFF, STL); text, PLY, PTX and PCD in gzip or zstd; folders and patterns
-    /// of such. Or one volume: NRRD, MetaImage (MHA, MHD), NIfTI, VTI, VTR, VTK, VDB, DX, SLC, NPY or
-    /// NPZ
+    /// Points: PLY, LAS, LAZ, COPC, E57, PCD, PTX, PTS, XYZ, TXT, CSV, ASC, NPY, NPZ, VTK, VTP or
+    /// VTU files; BIN of KITTI and nuScenes; snapshots of simulations (HDF5 of GADGET, SWIFT,
+    /// AREPO, EAGLE, Illustris; GADGET 1 and 2); Gaussian splats (PLY, SPZ, SPLAT, KSPLAT); meshes
+    /// (OBJ, OFF, STL); text, PLY, PTX and PCD in gzip or zstd; folders and patterns of such. Or
+    /// one volume: NRRD, MetaImage (MHA, MHD), NIfTI, VTI, VTR, VTK, VDB, DX, SLC, NPY or NPZ
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
-    /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need be
+    /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need
+    /// be
     #[arg(long)]
     raw: Option<RawLayout>,
     /// Cloud or grid file to write
     #[arg(short, long)]
     output: PathBuf,
-    /// Radius of influence: a number, a column, or `auto` (from the local spacing). By default the column `radius`
-    /// where there is one, else auto
+    /// Radius of influence: a number, a column, or `auto` (from the local spacing). By default the
+    /// column `radius` where there is one, else auto
     #[arg(long)]
     radius: Option<String>,
     /// Factor on the radius, wherever it comes from
     #[arg(long, default_value_t = 1.0)]
     radius_scale: f64,
-    /// Factor on every coordinate, and on radii of a column: for data in units that make them very large or small
+    /// Factor on every coordinate, and on radii of a column: for data in units that make them very
+    /// large or small
     #[arg(long, default_value_t = 1.0)]
     length_scale: f64,
     /// Weight: a number or a column. By default the column `weight` where there is one, else 1
@@ -55,29 +58,32 @@ pub(crate) struct BuildArgs {
     /// Factor on the weight, wherever it comes from
     #[arg(long, default_value_t = 1.0)]
     weight_scale: f64,
-    /// Columns to keep besides positions, radii, weights and colours, as in intensity,classification or
-    /// Velocities; `all`, or `none`. By default all that together take at most 16 bytes a point, vectors whole
+    /// Columns to keep besides positions, radii, weights and colours, as in
+    /// intensity,classification or Velocities; `all`, or `none`. By default all that together take
+    /// at most 16 bytes a point, vectors whole
     #[arg(long, value_delimiter = ',')]
     attributes: Option<Vec<String>>,
     /// Leave colours out
     #[arg(long)]
     no_color: bool,
-    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; - leaves one out
+    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; -
+    /// leaves one out
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
     columns: Option<Vec<String>>,
-    /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by default
+    /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by
+    /// default
     #[arg(long, value_name = "N")]
     volume_index: Option<u64>,
-    /// Points to sample on the faces of a mesh. By default ten a triangle, 1 to 20 million; of PLY with 20 000 vertices or
-    /// more, or with measurements of each, the vertices are the points
+    /// Points to sample on the faces of a mesh. By default ten a triangle, 1 to 20 million; of PLY
+    /// with 20 000 vertices or more, or with measurements of each, the vertices are the points
     #[arg(long)]
     mesh_points: Option<u64>,
-    /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars, black-holes or PartType7.
-    /// By default gas where there is any, else all
+    /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars,
+    /// black-holes or PartType7. By default gas where there is any, else all
     #[arg(long, value_delimiter = ',')]
     particles: Option<Vec<String>>,
-    /// Stop at the first damaged file of a folder or pattern, instead of leaving it out and naming it at the end. Builds in parts
-    /// always do
+    /// Stop at the first damaged file of a folder or pattern, instead of leaving it out and naming
+    /// it at the end. Builds in parts always do
     #[arg(long)]
     strict: bool,
     /// What to do with records whose position, radius or weight is no usable number
@@ -110,7 +116,8 @@ pub(crate) struct BuildArgs {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Invalid {
-    /// Count what is no number and go on; stop where numbers are too large or too small to be stored
+    /// Count what is no number and go on; stop where numbers are too large or too small to be
+    /// stored
     Skip,
     /// Count these, too, and go on
     SkipAll,

@@ -18,15 +18,16 @@ use crate::{interrupts, report};
 /// Which part of a build is to be done.
 #[derive(Args)]
 pub(crate) struct PartArgs {
-    /// Do a step of one part of a build that is divided among processes, as in 3/8; `rayset merge` then makes the file
+    /// Do a step of one part of a build that is divided among processes, as in 3/8; `rayset merge`
+    /// then makes the file
     #[arg(long)]
     part: Option<PartOf>,
-    /// The step: read, spacing-count, spacing-scatter, spacing-sort, spacing-measure, count, scatter or order. By default the
-    /// first that this part has not done
+    /// The step: read, spacing-count, spacing-scatter, spacing-sort, spacing-measure, count,
+    /// scatter or order. By default the first that this part has not done
     #[arg(long, requires = "part")]
     step: Option<BuildStep>,
-    /// Folder through which the parts exchange their results, seen by all of them; OUTPUT.parts by default. An output at an address
-    /// needs one
+    /// Folder through which the parts exchange their results, seen by all of them; OUTPUT.parts by
+    /// default. An output at an address needs one
     #[arg(long, requires = "part")]
     exchange: Option<PathBuf>,
 }
@@ -81,7 +82,8 @@ impl PartArgs {
     }
 }
 
-/// Refuses a part of a build, before anything is done, that has no folder to exchange files through.
+/// Refuses a part of a build, before anything is done, that has no folder to exchange files
+/// through.
 pub(crate) fn check(args: &PartArgs, output: &Path) -> Result<()> {
     if args.part.is_some() { args.folder(output).map(drop) } else { Ok(()) }
 }

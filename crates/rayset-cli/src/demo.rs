@@ -19,7 +19,8 @@ use rayset_inputs::values;
 
 use crate::{generate, report};
 
-/// Make a cloud larger than its memory budget, build it, render it, and say what the working set did.
+/// Make a cloud larger than its memory budget, build it, render it, and say what the working set
+/// did.
 ///
 /// Needs nothing but this program and about 400 MB of disk for a minute.
 #[derive(Args)]

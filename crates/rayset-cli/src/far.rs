@@ -11,7 +11,8 @@ use rayset_inputs::values;
 #[derive(Args)]
 #[command(next_help_heading = "Addresses: s3://, gs://, az://, https:// (docs/far.md)")]
 pub(crate) struct FarArgs {
-    /// Folder that keeps what was read of addresses; nothing is kept if none is named, here or by RAYSET_FAR_CACHE
+    /// Folder that keeps what was read of addresses; nothing is kept if none is named, here or by
+    /// RAYSET_FAR_CACHE
     #[arg(long, global = true, value_name = "FOLDER", hide_short_help = true)]
     far_cache: Option<PathBuf>,
     /// Most bytes of that folder, which it never exceeds: 8GiB by default, or RAYSET_FAR_CACHE_SIZE

@@ -76,7 +76,8 @@ const STATUE_RADII: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 6.0];
 
 /// Make a figure of the paper: prepare its data, render its scene.
 ///
-/// Without --scan and --volume it makes data of its own. The data and the scene stay in the folder given with --data.
+/// Without --scan and --volume it makes data of its own. The data and the scene stay in the folder
+/// given with --data.
 #[derive(Args)]
 pub(crate) struct FigureArgs {
     /// 1, 2, 3, 4, 5, 10 or 11
@@ -150,8 +151,8 @@ fn make(figure: &Figure, args: &FigureArgs, folder: &Path, output: &Path) -> Res
     render(args, &scene, output)
 }
 
-/// Prepares the data of figures 1, 2, 4, 10 and 11 in a folder, all of it generated, and their scenes, `fig1.json` and so
-/// on.
+/// Prepares the data of figures 1, 2, 4, 10 and 11 in a folder, all of it generated, and their
+/// scenes, `fig1.json` and so on.
 pub(crate) fn prepare(folder: &Path) -> Result<()> {
     for figure in FIGURES.iter().filter(|figure| !matches!(figure.number, 3 | 5)) {
         let args = FigureArgs {
@@ -227,7 +228,8 @@ impl Preparation<'_> {
         BuildOptions::default().with_memory_bytes(self.args.memory.saturating_sub(PROCESS_BYTES))
     }
 
-    /// Prepares a cloud that fits a cube of edge 1 and stands on the ground, from a scan or a workload.
+    /// Prepares a cloud that fits a cube of edge 1 and stands on the ground, from a scan or a
+    /// workload.
     fn cloud(&self, name: &str, scan: Option<&Path>, pose: Pose, workload: &str) -> Result<()> {
         let path = self.folder.join(name);
         if path.exists() {
@@ -387,7 +389,8 @@ impl FigureArgs {
     }
 }
 
-/// The transform that scales points to a largest extent of 1 and makes them stand on the ground about the y axis.
+/// The transform that scales points to a largest extent of 1 and makes them stand on the ground
+/// about the y axis.
 fn standing(source: &mut dyn PointSource, pose: Pose) -> Result<DAffine3> {
     let upright = match pose.up {
         Up::Y => DAffine3::IDENTITY,

@@ -12,8 +12,9 @@ use crate::report;
 
 /// Write a generated cloud as a binary PLY file.
 ///
-/// sphere-N and cube-N are the workloads of the benchmark (points on the unit sphere, in the unit cube), knot-N, galaxy-N
-/// and vase-N are to look at; N is a number like 5000, 100k or 1m. Or points on the triangles of a mesh.
+/// sphere-N and cube-N are the workloads of the benchmark (points on the unit sphere, in the unit
+/// cube), knot-N, galaxy-N and vase-N are to look at; N is a number like 5000, 100k or 1m. Or
+/// points on the triangles of a mesh.
 #[derive(Args)]
 pub(crate) struct GenerateArgs {
     /// sphere-N, cube-N, knot-N, galaxy-N or vase-N

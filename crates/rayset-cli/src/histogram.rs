@@ -4,7 +4,8 @@ use std::env;
 
 /// Columns of a histogram.
 const BINS: usize = 40;
-/// The part of the values at either end that is left out: a few strays would make all others one column.
+/// The part of the values at either end that is left out: a few strays would make all others one
+/// column.
 const LEFT_OUT: f64 = 0.002;
 
 const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
@@ -28,8 +29,8 @@ pub(crate) struct Histogram {
 }
 
 impl Histogram {
-    /// The histogram of the finite values; `None` if there are none, or only one and the same. Few whole numbers have a
-    /// range each, and are its middles.
+    /// The histogram of the finite values; `None` if there are none, or only one and the same. Few
+    /// whole numbers have a range each, and are its middles.
     pub(crate) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut sorted: Vec<f64> = values.filter(|value| value.is_finite()).collect();
         sorted.sort_by(f64::total_cmp);

@@ -136,7 +136,8 @@ const SAMPLE: usize = 1 << 15;
 /// Size of the picture of which the guess is made; it has no influence on what is told of it.
 const GUESSED: (u32, u32) = (512, 512);
 
-/// What a sample of the points or voxels says; if they cannot be read, that is remarked, and the header alone is told of.
+/// What a sample of the points or voxels says; if they cannot be read, that is remarked, and the
+/// header alone is told of.
 fn told<T>(found: Result<T>) -> Option<T> {
     found.inspect_err(|error| report::remark(format_args!("left out what needs a sample: {error:#}"))).ok()
 }

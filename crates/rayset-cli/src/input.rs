@@ -1,4 +1,5 @@
-//! What commands take as their input, opened within the memory of the process, with the program's ways of telling and cleaning up.
+//! What commands take as their input, opened within the memory of the process, with the program's
+//! ways of telling and cleaning up.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +23,8 @@ pub(crate) struct Resources<'a> {
     pub(crate) told: Told<'a>,
 }
 
-/// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points, folders and patterns.
+/// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points,
+/// folders and patterns.
 pub(crate) fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     open_hearing(inputs, cache, resources, None)
 }

@@ -1,5 +1,5 @@
-//! Signals: unfinished output is removed, then the process ends with status 128 plus the number of the signal, as in a
-//! shell. A second signal of the same kind ends it at once.
+//! Signals: unfinished output is removed, then the process ends with status 128 plus the number of
+//! the signal, as in a shell. A second signal of the same kind ends it at once.
 //!
 //! This state is global to the process, as signals are.
 
@@ -42,7 +42,8 @@ pub(crate) fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
     status
 }
 
-/// A temporary folder. It is removed when dropped, when a signal arrives, and by the next run if this one is killed.
+/// A temporary folder. It is removed when dropped, when a signal arrives, and by the next run if
+/// this one is killed.
 pub(crate) struct TemporaryFolder(OwnFolder);
 
 impl TemporaryFolder {
@@ -53,7 +54,8 @@ impl TemporaryFolder {
 
     /// Creates one in another folder.
     pub(crate) fn within(all: &Path, purpose: &str) -> Result<Self> {
-        // Locked while the folder is created, so that no signal finds it created but not registered.
+        // Locked while the folder is created, so that no signal finds it created but not
+        // registered.
         let mut watched = watched();
         let folder = OwnFolder::create(all, purpose)
             .with_context(|| format!("cannot create a temporary folder in {}", all.display()))?;
@@ -96,8 +98,8 @@ mod unix {
     /// Set when the process begins to end because of a signal.
     static ENDING: AtomicBool = AtomicBool::new(false);
 
-    /// Starts to listen to signals. Signals that were ignored when this process was started, as by `nohup`, stay
-    /// ignored.
+    /// Starts to listen to signals. Signals that were ignored when this process was started, as by
+    /// `nohup`, stay ignored.
     pub(crate) fn install() -> Result<()> {
         let doing = "cannot listen to signals";
         let ignored = ignored_signals();
@@ -154,7 +156,8 @@ mod unix {
         watched.folders.iter().for_each(remove_folder);
     }
 
-    /// Tries repeatedly, because other threads may put files into the folder until the process ends.
+    /// Tries repeatedly, because other threads may put files into the folder until the process
+    /// ends.
     fn remove_folder(path: &PathBuf) {
         for _ in 0..50 {
             if std::fs::remove_dir_all(path).is_ok() || !path.exists() {
@@ -164,8 +167,8 @@ mod unix {
         }
     }
 
-    /// If a signal has been received, waits for the thread that handles signals to end the process: a command may have
-    /// failed only because its files were removed.
+    /// If a signal has been received, waits for the thread that handles signals to end the process:
+    /// a command may have failed only because its files were removed.
     pub(crate) fn wait_if_ending() {
         while ENDING.load(Ordering::SeqCst) {
             std::thread::park();

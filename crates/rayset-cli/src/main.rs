@@ -1,4 +1,5 @@
-//! `rayset`: ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
+//! `rayset`: ray-traces point clouds larger than memory, as volumes, inside a memory budget that
+//! holds.
 
 mod annotate;
 mod bench;
@@ -39,8 +40,9 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 /// Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 ///
-/// A cloud file is built once from scans, simulations or tables (`build`). Scenes of clouds and other objects, or clouds
-/// alone, are rendered any number of times (`render`) within the memory that you allow. Start with `rayset demo`.
+/// A cloud file is built once from scans, simulations or tables (`build`). Scenes of clouds and
+/// other objects, or clouds alone, are rendered any number of times (`render`) within the memory
+/// that you allow. Start with `rayset demo`.
 #[derive(Parser)]
 #[command(name = "rayset", version, arg_required_else_help = true)]
 struct Cli {
@@ -52,13 +54,15 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Make a cloud larger than its memory budget, build it, render it, and say what the working set did
+    /// Make a cloud larger than its memory budget, build it, render it, and say what the working
+    /// set did
     Demo(demo::DemoArgs),
     /// Write a generated cloud as a PLY file
     Generate(generate::GenerateArgs),
     /// Build a cloud file from points, or a grid file from a volume
     Build(Box<build::BuildArgs>),
-    /// Say what is in a cloud or grid, or in any file of points or voxels, and how much memory it wants
+    /// Say what is in a cloud or grid, or in any file of points or voxels, and how much memory it
+    /// wants
     Info(info::InfoArgs),
     /// Check a cloud file
     Verify(verify::VerifyArgs),

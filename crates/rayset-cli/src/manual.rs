@@ -1,4 +1,5 @@
-//! `rayset completions` and `rayset man`: what shells and the manual know of the command line, from its definition.
+//! `rayset completions` and `rayset man`: what shells and the manual know of the command line, from
+//! its definition.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -12,8 +13,8 @@ use crate::report;
 
 /// Write a completion script to standard output.
 ///
-/// Bash: `rayset completions bash > ~/.local/share/bash-completion/completions/rayset`. Zsh: into a folder of $fpath, as
-/// `_rayset`. Fish: `~/.config/fish/completions/rayset.fish`.
+/// Bash: `rayset completions bash > ~/.local/share/bash-completion/completions/rayset`. Zsh: into a
+/// folder of $fpath, as `_rayset`. Fish: `~/.config/fish/completions/rayset.fish`.
 #[derive(Args)]
 pub(crate) struct CompletionsArgs {
     /// Shell

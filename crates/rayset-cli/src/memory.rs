@@ -1,9 +1,10 @@
 //! The memory of this process, as the operating system counts it.
 
-/// Memory that the program takes besides what the library accounts for: code, arguments, the allocator's first pages. How much
-/// code is resident depends on what the system maps around each page that is used: 8.5 to 9.5 MiB on Linux, and a mebibyte less if all
-/// of it was optimised at once. The code of an unoptimised build is larger; so is that of a program that opens addresses, though it
-/// opens none, by up to two mebibytes.
+/// Memory that the program takes besides what the library accounts for: code, arguments, the
+/// allocator's first pages. How much code is resident depends on what the system maps around each
+/// page that is used: 8.5 to 9.5 MiB on Linux, and a mebibyte less if all of it was optimised at
+/// once. The code of an unoptimised build is larger; so is that of a program that opens addresses,
+/// though it opens none, by up to two mebibytes.
 pub(crate) const PROCESS_BYTES: u64 = match (cfg!(debug_assertions), cfg!(feature = "far")) {
     (false, false) => 20 << 19,
     (false, true) => 23 << 19,
@@ -23,7 +24,8 @@ pub(crate) fn reset_peak_rss() {
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 
-/// Processor time that this process has taken so far, in all of its threads; not a number where the system does not say.
+/// Processor time that this process has taken so far, in all of its threads; not a number where the
+/// system does not say.
 pub(crate) fn process_cpu_seconds() -> f64 {
     #[cfg(unix)]
     {
@@ -34,14 +36,16 @@ pub(crate) fn process_cpu_seconds() -> f64 {
     f64::NAN
 }
 
-/// Keeps the allocator from retaining memory that was freed, which would count against the budget although it is
-/// unused: one arena for all threads, and large blocks always returned to the system.
+/// Keeps the allocator from retaining memory that was freed, which would count against the budget
+/// although it is unused: one arena for all threads, and large blocks always returned to the
+/// system.
 #[expect(unsafe_code, reason = "the only way to the allocator's settings")]
 pub(crate) fn tame_allocator() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
         const LARGE_BLOCK_BYTES: i32 = 64 << 10;
-        // SAFETY: called first thing in `main`, before there are threads; both parameters take any positive number.
+        // SAFETY: called first thing in `main`, before there are threads; both parameters take any
+        // positive number.
         unsafe {
             libc::mallopt(libc::M_ARENA_MAX, 1);
             libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BLOCK_BYTES);

@@ -9,7 +9,8 @@ use rayset::output::{Destination, OutputFile};
 
 use crate::{interrupts, report};
 
-/// The outputs of a command: none of them is one of its inputs or another output, and all are watched for signals.
+/// The outputs of a command: none of them is one of its inputs or another output, and all are
+/// watched for signals.
 #[derive(Default)]
 pub(crate) struct Outputs {
     inputs: Vec<PathBuf>,

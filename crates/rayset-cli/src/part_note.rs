@@ -1,4 +1,5 @@
-//! What a part of a picture has besides pixels: how they are displayed, and what is drawn over them.
+//! What a part of a picture has besides pixels: how they are displayed, and what is drawn over
+//! them.
 
 use rayset::image::{DisplayTransform, ToneMapping};
 
@@ -13,7 +14,8 @@ pub(crate) struct Note {
 }
 
 impl Note {
-    /// As bytes: the exposure, the tone mapping, the sheet, and the pixels that are laid over the picture, if any.
+    /// As bytes: the exposure, the tone mapping, the sheet, and the pixels that are laid over the
+    /// picture, if any.
     pub(crate) fn encode(&self) -> Vec<u8> {
         let mut bytes = self.display_transform.exposure.to_le_bytes().to_vec();
         bytes.push(u8::from(self.display_transform.tone_mapping == ToneMapping::Filmic));

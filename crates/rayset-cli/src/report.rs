@@ -1,8 +1,9 @@
 //! What is printed, and where: results to standard output, progress and errors to standard error.
 //!
-//! Names and texts from files are not trusted: characters that would move the cursor, colour the terminal or change the
-//! direction of writing are shown by their numbers instead. Addresses are shown without what grants access to them, wherever in
-//! a text they stand; only [`say_invitation`] writes one that does.
+//! Names and texts from files are not trusted: characters that would move the cursor, colour the
+//! terminal or change the direction of writing are shown by their numbers instead. Addresses are
+//! shown without what grants access to them, wherever in a text they stand; only [`say_invitation`]
+//! writes one that does.
 
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -72,7 +73,8 @@ fn result(text: &str) {
     }
 }
 
-/// Sends results to standard error from now on, because standard output is an output of the command.
+/// Sends results to standard error from now on, because standard output is an output of the
+/// command.
 pub(crate) fn leave_standard_output() {
     TAKEN.store(true, Ordering::Relaxed);
 }
@@ -112,7 +114,8 @@ pub(crate) fn fail(error: &anyhow::Error) {
     remark(format_args!("error: {error:#}"));
 }
 
-/// Writes what is wrong with the command line, in several lines. Options that help does not show are not suggested.
+/// Writes what is wrong with the command line, in several lines. Options that help does not show
+/// are not suggested.
 pub(crate) fn misused(mut error: clap::Error, program: &clap::Command) {
     use clap::error::{ContextKind, ContextValue};
     if let Some(ContextValue::String(option)) = error.get(ContextKind::SuggestedArg)
@@ -131,7 +134,8 @@ fn is_shown(option: &str, program: &clap::Command) -> bool {
     here || name == "help" || name == "version" || program.get_subcommands().any(|c| is_shown(option, c))
 }
 
-/// Leaves out the secrets of addresses, and replaces characters that a terminal would obey, as `shown` says.
+/// Leaves out the secrets of addresses, and replaces characters that a terminal would obey, as
+/// `shown` says.
 fn printable(text: &str, shown: impl Fn(char) -> String) -> String {
     let text = redacted(text);
     let obeyed = |c: char| {
@@ -150,7 +154,8 @@ pub(crate) fn name_of(path: &Path) -> String {
     shown.file_name().unwrap_or(shown.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// A number in as few digits as represent it exactly, in scientific notation if it is very small or very large.
+/// A number in as few digits as represent it exactly, in scientific notation if it is very small or
+/// very large.
 pub(crate) fn number<T: Copy + Into<f64> + std::fmt::Display + std::fmt::LowerExp>(value: T) -> String {
     let size = value.into().abs();
     if size == 0.0 || (1e-5..1e16).contains(&size) { value.to_string() } else { format!("{value:e}") }

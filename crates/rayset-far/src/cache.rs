@@ -1,12 +1,13 @@
 //! A folder of blocks of far objects that were read before, of a size that is never exceeded.
 //!
-//! A block is a file of at most [`BLOCK_BYTES`] of an object, behind a checksum. Its name is a hash of the object's address without
-//! secrets, entity tag and length, and the block's number, so that an object that has changed has other blocks, and one that is signed
-//! anew the same. Folders that are made are open to their owner alone. Several processes may
-//! use one folder: they write one after another, under a lock, and read without one. The file `bytes` says how much all blocks
-//! take; it is raised before a block gets its name, so that a process that is killed may leave it too high, but never too low.
-//! What it left unfinished lies in `unfinished`, with a file that says that it had begun; whoever opens the folder next removes it and
-//! counts again.
+//! A block is a file of at most [`BLOCK_BYTES`] of an object, behind a checksum. Its name is a hash
+//! of the object's address without secrets, entity tag and length, and the block's number, so that
+//! an object that has changed has other blocks, and one that is signed anew the same. Folders that
+//! are made are open to their owner alone. Several processes may use one folder: they write one
+//! after another, under a lock, and read without one. The file `bytes` says how much all blocks
+//! take; it is raised before a block gets its name, so that a process that is killed may leave it
+//! too high, but never too low. What it left unfinished lies in `unfinished`, with a file that says
+//! that it had begun; whoever opens the folder next removes it and counts again.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -57,7 +58,8 @@ impl std::error::Error for CacheError {
 pub struct Key(u128);
 
 impl Key {
-    /// The object with this address, entity tag or date, and length in bytes. Secrets of the address have no part in it.
+    /// The object with this address, entity tag or date, and length in bytes. Secrets of the
+    /// address have no part in it.
     #[must_use]
     pub fn new(address: &str, version: &str, length: u64) -> Self {
         let address = shown(Path::new(address));
@@ -75,8 +77,8 @@ pub struct Cache {
 }
 
 impl Cache {
-    /// Opens a folder, which is made if it is not there, and removes what killed processes left unfinished in it. `most_bytes` is
-    /// at least 16 MiB.
+    /// Opens a folder, which is made if it is not there, and removes what killed processes left
+    /// unfinished in it. `most_bytes` is at least 16 MiB.
     ///
     /// # Errors
     /// [`CacheError`] if it cannot be made or written to.
@@ -146,8 +148,8 @@ impl Cache {
         Some(held)
     }
 
-    /// Keeps the whole blocks in `bytes`, which begin at byte `start` of an object of `length` bytes. A block that cannot be
-    /// kept is none: the cache then is what it was.
+    /// Keeps the whole blocks in `bytes`, which begin at byte `start` of an object of `length`
+    /// bytes. A block that cannot be kept is none: the cache then is what it was.
     pub fn keep(&self, key: Key, length: u64, start: u64, bytes: &[u8]) {
         let end = start + bytes.len() as u64;
         let blocks: Vec<u64> = (start.div_ceil(BLOCK_BYTES)..end.div_ceil(BLOCK_BYTES))

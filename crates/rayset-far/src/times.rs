@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-/// How long requests may take, and how often they are tried. Only tests choose others than the default.
+/// How long requests may take, and how often they are tried. Only tests choose others than the
+/// default.
 #[doc(hidden)]
 #[derive(Clone, Copy, Debug)]
 pub struct Times {

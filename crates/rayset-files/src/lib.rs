@@ -1,6 +1,6 @@
-//! Cloud and grid files: what they are built from ([`points::PointSource`], [`grid::VolumeSource`]), how they are built,
-//! opened and verified, and their pages as the working set has them. A part of the library `rayset`, which says what of it
-//! is public.
+//! Cloud and grid files: what they are built from ([`points::PointSource`],
+//! [`grid::VolumeSource`]), how they are built, opened and verified, and their pages as the working
+//! set has them. A part of the library `rayset`, which says what of it is public.
 #![deny(unsafe_code)]
 
 pub mod grid;

@@ -45,7 +45,8 @@ pub trait PagedHeader: Clone + Send + Sync + Sized {
 /// An open file: its checked header, and where its pages are read from.
 #[derive(Clone)]
 pub struct PagedFile<H> {
-    /// The path of the file, an address without its secrets; only a name for messages if it is not a file on disk.
+    /// The path of the file, an address without its secrets; only a name for messages if it is not
+    /// a file on disk.
     pub path: PathBuf,
     /// What opens it again.
     pub address: PathBuf,
@@ -109,8 +110,8 @@ impl<H: PagedHeader> PagedFile<H> {
         self.header.check_page(page, bytes).map_err(damaged)
     }
 
-    /// Reads every page in order, one at a time, checks it, and passes it to `visit` with its number. Also checks the
-    /// sections without pages, and the digests of all pages.
+    /// Reads every page in order, one at a time, checks it, and passes it to `visit` with its
+    /// number. Also checks the sections without pages, and the digests of all pages.
     ///
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.

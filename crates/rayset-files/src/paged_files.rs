@@ -25,13 +25,14 @@ impl PagedFiles {
         Self { pages, clouds: Known::new(), grids: Known::new() }
     }
 
-    /// Adds a cloud whose pages are read from `storage`. A cloud that has been added already stays as it is.
+    /// Adds a cloud whose pages are read from `storage`. A cloud that has been added already stays
+    /// as it is.
     pub fn add(&mut self, cloud: &Arc<Cloud>, storage: Arc<dyn Storage>) {
         self.clouds.add(cloud.stored(), storage, &self.pages);
     }
 
-    /// Adds a cloud whose pages are read from its own storage or file, bypassing the system's page cache if `direct` is
-    /// set.
+    /// Adds a cloud whose pages are read from its own storage or file, bypassing the system's page
+    /// cache if `direct` is set.
     ///
     /// # Errors
     /// The system's error, if the file cannot be opened.

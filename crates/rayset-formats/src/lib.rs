@@ -1,5 +1,5 @@
-//! Readers of points and of voxels, in the formats that people have. A part of the library `rayset`, which says what of it
-//! is public.
+//! Readers of points and of voxels, in the formats that people have. A part of the library
+//! `rayset`, which says what of it is public.
 #![deny(unsafe_code)]
 
 mod array_file;

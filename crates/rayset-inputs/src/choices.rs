@@ -1,4 +1,5 @@
-//! How inputs are built that have not been built before: the options of `rayset build` that decide what is seen.
+//! How inputs are built that have not been built before: the options of `rayset build` that decide
+//! what is seen.
 
 use clap::Args;
 use rayset::build::BuildOptions;
@@ -11,13 +12,16 @@ use crate::values;
 #[derive(Args, Clone, Default, Debug)]
 #[command(next_help_heading = "Building of inputs that were not built before")]
 pub struct BuildChoices {
-    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; - leaves one out
+    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; -
+    /// leaves one out
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
     pub(crate) columns: Option<Vec<String>>,
-    /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by default
+    /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by
+    /// default
     #[arg(long, value_name = "N")]
     pub(crate) volume_index: Option<u64>,
-    /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars, black-holes or PartType7
+    /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars,
+    /// black-holes or PartType7
     #[arg(long, value_delimiter = ',')]
     particles: Option<Vec<String>>,
     /// Columns to keep, as in intensity,Velocities; `all`, or `none`
@@ -38,7 +42,8 @@ pub struct BuildChoices {
     /// Leave colours out
     #[arg(long)]
     no_color: bool,
-    /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need be
+    /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need
+    /// be
     #[arg(long, value_parser = raw_layout)]
     raw: Option<String>,
 }

@@ -61,7 +61,8 @@ pub(crate) fn remark_on_readings<S: PointSource + ?Sized>(sources: &[Box<S>], ho
     }
 }
 
-/// The columns that all sources have, those by which looks are chosen first, up to a bounded number of bytes a point.
+/// The columns that all sources have, those by which looks are chosen first, up to a bounded number
+/// of bytes a point.
 pub fn customary<S: PointSource + ?Sized>(sources: &[Box<S>]) -> Columns {
     chosen(sources, MOST_BYTES)
 }
@@ -94,7 +95,8 @@ fn chosen<S: PointSource + ?Sized>(sources: &[Box<S>], most_bytes: usize) -> Col
         if done.contains(&column.name.as_str()) || column.name == SPEED && has_velocity {
             continue;
         }
-        // Components of a vector are kept together, or not at all: one of them says nothing. A speed comes with its velocity.
+        // Components of a vector are kept together, or not at all: one of them says nothing. A
+        // speed comes with its velocity.
         let whole = vector_of(column, &found);
         let stored = whole.iter().filter(|c| !(has_velocity && c.name == SPEED));
         let own: usize = stored.map(|c| c.kind.bytes()).sum();
@@ -107,8 +109,8 @@ fn chosen<S: PointSource + ?Sized>(sources: &[Box<S>], most_bytes: usize) -> Col
     columns
 }
 
-/// The columns that make a vector with one of them, in their order: `v_x`, `v_y` and `v_z`, or `v_0`, `v_1` and so on, and the
-/// speed of a velocity; a column by itself is all of its vector.
+/// The columns that make a vector with one of them, in their order: `v_x`, `v_y` and `v_z`, or
+/// `v_0`, `v_1` and so on, and the speed of a velocity; a column by itself is all of its vector.
 fn vector_of<'c>(column: &'c ColumnInfo, all: &[&'c ColumnInfo]) -> Vec<&'c ColumnInfo> {
     let stem = |name: &str| {
         let (stem, end) = name.rsplit_once('_')?;

@@ -45,10 +45,11 @@ impl Files {
     }
 }
 
-/// The files that inputs stand for: a file for itself, a folder for all files below it that can be read, a pattern such as
-/// `tiles/*.laz` for those that match. Sorted within each folder and pattern, so that the order of a directory does not
-/// matter. Hidden files and folders are left out. A folder that is one thing, as a series of DICOM or a Zarr array is, stands
-/// for itself. `-` is the standard input.
+/// The files that inputs stand for: a file for itself, a folder for all files below it that can be
+/// read, a pattern such as `tiles/*.laz` for those that match. Sorted within each folder and
+/// pattern, so that the order of a directory does not matter. Hidden files and folders are left
+/// out. A folder that is one thing, as a series of DICOM or a Zarr array is, stands for itself. `-`
+/// is the standard input.
 pub fn expand(inputs: &[PathBuf], host: &dyn Host) -> Result<Files> {
     let (mut files, mut named) = (Vec::new(), Vec::new());
     for input in inputs {
@@ -95,7 +96,8 @@ fn matching(pattern: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
     Ok(())
 }
 
-/// Of the files of a folder those that can be read. The others, read-me files and previews among them, are named.
+/// Of the files of a folder those that can be read. The others, read-me files and previews among
+/// them, are named.
 fn readable(folder: &Path, files: Vec<PathBuf>, host: &dyn Host) -> Result<Vec<PathBuf>> {
     if let [_] = files.as_slice() {
         return Ok(files);
@@ -122,7 +124,8 @@ fn readable(folder: &Path, files: Vec<PathBuf>, host: &dyn Host) -> Result<Vec<P
     Ok(kept)
 }
 
-/// Why a file of a folder is not read; `None` if it is, or has something in it that a person has to be told.
+/// Why a file of a folder is not read; `None` if it is, or has something in it that a person has to
+/// be told.
 fn why_not(file: &Path) -> Result<Option<String>> {
     if file.is_dir() || volumes::is_volume(file)? || kinds::is_built(file)? {
         return Ok(None);

@@ -7,17 +7,20 @@ use anyhow::Result;
 use rayset::CancelToken;
 use rayset::build::{Progress, Stage};
 
-/// The program or package that asks for an input: it hears what there is to say, and looks after what is not finished.
+/// The program or package that asks for an input: it hears what there is to say, and looks after
+/// what is not finished.
 pub trait Host: Sync {
     /// Something that a person should know.
     fn remark(&self, text: &str);
 
-    /// What was done, from which nothing follows for what is seen: where an input is kept. A remark, unless the host has a place for it.
+    /// What was done, from which nothing follows for what is seen: where an input is kept. A
+    /// remark, unless the host has a place for it.
     fn note(&self, text: &str) {
         self.remark(text);
     }
 
-    /// How far a build is: what is counted, what is being done, how much of it is done, and how much there is.
+    /// How far a build is: what is counted, what is being done, how much of it is done, and how
+    /// much there is.
     fn progress(&self, unit: &'static str, doing: &'static str, done: u64, total: u64);
 
     /// What a build asks whether it is still wanted.
@@ -44,7 +47,8 @@ pub trait TemporaryFolder: Send + Sync {
     fn path(&self) -> &Path;
 }
 
-/// A host that remembers what it was told, so that it can be said again when what was built is used again.
+/// A host that remembers what it was told, so that it can be said again when what was built is used
+/// again.
 pub(crate) struct Remembering<'a> {
     host: &'a dyn Host,
     remarks: Mutex<Vec<String>>,

@@ -1,4 +1,5 @@
-//! What a file is, by its first bytes, so that errors about other files can say what to do with them.
+//! What a file is, by its first bytes, so that errors about other files can say what to do with
+//! them.
 
 use std::io::Read;
 use std::path::Path;
@@ -34,7 +35,8 @@ const NO_SCENES: [&str; 9] = [
 /// Bytes of JSON that are looked at for the key that scenes have.
 const MOST_JSON: u64 = 1 << 20;
 
-/// Whether a file is a scene: by its name, or because it begins as JSON does, unless it is JSON of someone else.
+/// Whether a file is a scene: by its name, or because it begins as JSON does, unless it is JSON of
+/// someone else.
 pub fn is_scene(path: &Path) -> Result<bool> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     if NO_SCENES.iter().any(|ending| name.ends_with(ending)) {
@@ -43,7 +45,8 @@ pub fn is_scene(path: &Path) -> Result<bool> {
     Ok((name.ends_with(".json") || head(path)?.starts_with(b"{")) && !is_other_json(path)?)
 }
 
-/// Whether a file is whole JSON of someone else: a list, or an object without the key `rayset` whose first key no scene has.
+/// Whether a file is whole JSON of someone else: a list, or an object without the key `rayset`
+/// whose first key no scene has.
 fn is_other_json(path: &Path) -> Result<bool> {
     /// Keys of scenes.
     const KEYS: [&str; 11] = [

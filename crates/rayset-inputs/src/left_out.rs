@@ -1,4 +1,5 @@
-//! Files of a folder that turn out to be damaged: left out, counted, and named when the others have been read.
+//! Files of a folder that turn out to be damaged: left out, counted, and named when the others have
+//! been read.
 
 use std::fmt::Display;
 use std::io::ErrorKind;
@@ -31,8 +32,8 @@ impl LeftOut {
         self.sources.push((path.to_owned(), may_leave_out));
     }
 
-    /// Whether an error is damage of the file itself. What else goes wrong, such as a connection that breaks, may be over when
-    /// the build is run again, and must not make it another cloud.
+    /// Whether an error is damage of the file itself. What else goes wrong, such as a connection
+    /// that breaks, may be over when the build is run again, and must not make it another cloud.
     pub(crate) fn is_damage(error: &ReadError) -> bool {
         match error {
             ReadError::Malformed { .. } | ReadError::Las { .. } | ReadError::UnknownFormat { .. } => true,

@@ -1,8 +1,9 @@
-//! From what a person has to a scene: opens any input, building what has not been built into a cache, and chooses what it looks
-//! like. The program and the Python package are front ends over this.
+//! From what a person has to a scene: opens any input, building what has not been built into a
+//! cache, and chooses what it looks like. The program and the Python package are front ends over
+//! this.
 //!
-//! [`open()`] takes scenes, built clouds and grids, and files of points or voxels of any kind, folders and patterns among them.
-//! [`look`] makes a scene of a cloud or a grid by what is in it.
+//! [`open()`] takes scenes, built clouds and grids, and files of points or voxels of any kind,
+//! folders and patterns among them. [`look`] makes a scene of a cloud or a grid by what is in it.
 
 mod cache;
 mod choices;

@@ -12,8 +12,8 @@ const MARKS: f64 = 1e17;
 /// … if there are no more different ones than these.
 const MOST_MARKS: usize = 8;
 
-/// The power of ten by which the values of a grid are to be multiplied so that scenes, whose numbers go to 1e18 and differ by
-/// 1e-18, can hold them; `None` if they can already.
+/// The power of ten by which the values of a grid are to be multiplied so that scenes, whose
+/// numbers go to 1e18 and differ by 1e-18, can hold them; `None` if they can already.
 pub(crate) fn exponent(grid: &Grid) -> Result<Option<i32>> {
     let sample = grid.sample(SAMPLE)?;
     let mut sizes: Vec<f64> = (0..sample.len()).map(|i| sample.columns[0].get(i).abs()).collect();

@@ -56,7 +56,8 @@ pub struct Resources<'a> {
     pub host: &'a dyn Host,
 }
 
-/// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points, folders and patterns.
+/// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points,
+/// folders and patterns.
 pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
     let files = files::expand(inputs, resources.host)?;
     if let [file] = files.paths.as_slice() {

@@ -27,8 +27,8 @@ impl Points {
     }
 }
 
-/// Opens files of points as the sources of one cloud. Those that only a folder or a pattern named are left out if they are
-/// damaged, unless `strict`.
+/// Opens files of points as the sources of one cloud. Those that only a folder or a pattern named
+/// are left out if they are damaged, unless `strict`.
 ///
 /// # Errors
 /// What is wrong with a file that a person named, or with the first if nothing can be read.
@@ -71,7 +71,8 @@ pub fn open_points(files: &Files, options: &ReadOptions, strict: bool, host: &dy
 /// Files that are opened one after another.
 struct Opening {
     in_turn: InTurn,
-    /// Files of the snapshots that are open: a folder names all of them, and each stands for the whole.
+    /// Files of the snapshots that are open: a folder names all of them, and each stands for the
+    /// whole.
     read_already: HashSet<PathBuf>,
     /// What is lost of files: a sentence, the first file of which it is true, and their number.
     said: Vec<(String, PathBuf, usize)>,

@@ -1,8 +1,10 @@
-//! Folders for what is not to be kept: each is removed when it is dropped, and by the next run if its process was killed.
+//! Folders for what is not to be kept: each is removed when it is dropped, and by the next run if
+//! its process was killed.
 //!
-//! Such a folder holds a file that its process keeps locked. A folder with that file, of the same owner, whose file is not locked was
-//! left behind. The file is locked before it has its name, so that no other run ever sees it without its lock. Where a file system
-//! has no locks, nothing is marked, and nothing is removed later.
+//! Such a folder holds a file that its process keeps locked. A folder with that file, of the same
+//! owner, whose file is not locked was left behind. The file is locked before it has its name, so
+//! that no other run ever sees it without its lock. Where a file system has no locks, nothing is
+//! marked, and nothing is removed later.
 
 use std::fs::{self, DirBuilder, File};
 use std::io;
@@ -24,7 +26,8 @@ pub struct OwnFolder {
 }
 
 impl OwnFolder {
-    /// Makes one in another folder, which nobody else may look into, and removes what killed processes of the same user have left there.
+    /// Makes one in another folder, which nobody else may look into, and removes what killed
+    /// processes of the same user have left there.
     ///
     /// # Errors
     /// The system's error, if it cannot be made.
@@ -82,7 +85,8 @@ fn mark(folder: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// Removes the folders that killed processes have left. Those that cannot be removed are in nobody's way.
+/// Removes the folders that killed processes have left. Those that cannot be removed are in
+/// nobody's way.
 fn remove_left(within: &Path, own: &Path) {
     let Ok(entries) = fs::read_dir(within) else { return };
     for entry in entries.flatten() {

@@ -1,8 +1,9 @@
-//! Units of simulations in the words of astronomers. Files state factors to CGS units and powers of the scale factor a and of the
-//! Hubble parameter h; clouds keep these, exactly, and people are shown what they mean.
+//! Units of simulations in the words of astronomers. Files state factors to CGS units and powers of
+//! the scale factor a and of the Hubble parameter h; clouds keep these, exactly, and people are
+//! shown what they mean.
 
-/// Factors to CGS units that simulations have, the dimensions that they are of, and their names. The name of a power of a
-/// length stands behind the slash, if there is one.
+/// Factors to CGS units that simulations have, the dimensions that they are of, and their names.
+/// The name of a power of a length stands behind the slash, if there is one.
 const NAMES: [(f64, &str, i32); 21] = [
     // (factor, name, power of comoving lengths in it)
     (1.495_978_7e13, "AU", 1),
@@ -31,7 +32,8 @@ const NAMES: [(f64, &str, i32); 21] = [
 /// Factors that differ by less than this part are the same: codes have constants of their own.
 const SAME: f64 = 4e-3;
 
-/// The unit of a column as people say it: `ckpc/h` of `3.085678e21 cgs a h^-1`. What is not known stays as it is.
+/// The unit of a column as people say it: `ckpc/h` of `3.085678e21 cgs a h^-1`. What is not known
+/// stays as it is.
 #[must_use]
 pub fn readable(column: &str, unit: &str) -> String {
     let Some((factor, rest)) = unit.split_once(" cgs") else { return unit.to_owned() };
@@ -64,7 +66,8 @@ pub fn readable(column: &str, unit: &str) -> String {
     said
 }
 
-/// The unit of the positions of a cloud by what its reader says of its file; `None` if nothing is said.
+/// The unit of the positions of a cloud by what its reader says of its file; `None` if nothing is
+/// said.
 #[must_use]
 pub fn of_positions(sources: &[String]) -> Option<String> {
     let said = |source: &String| {
@@ -76,7 +79,8 @@ pub fn of_positions(sources: &[String]) -> Option<String> {
     others.iter().all(|other| said(other).as_ref() == Some(&unit)).then_some(unit)
 }
 
-/// What signs in units of a simulation mean, for people who have not met them; `None` if none of them occurs.
+/// What signs in units of a simulation mean, for people who have not met them; `None` if none of
+/// them occurs.
 #[must_use]
 pub fn explained<'u>(units: impl IntoIterator<Item = &'u str>) -> Option<String> {
     let (mut comoving, mut hubble, mut powers) = (false, false, false);
@@ -100,7 +104,8 @@ pub fn explained<'u>(units: impl IntoIterator<Item = &'u str>) -> Option<String>
     (!words.is_empty()).then(|| words.join("; "))
 }
 
-/// The power of a symbol in the rest of a unit: ` a h^-1`, or the expression of SWIFT, `, a^-3 U_M U_L^-3  [ g cm^-3 ]`.
+/// The power of a symbol in the rest of a unit: ` a h^-1`, or the expression of SWIFT,
+/// `, a^-3 U_M U_L^-3  [ g cm^-3 ]`.
 fn power_of(rest: &str, symbol: &str) -> f64 {
     let words = rest.split('[').next().unwrap_or(rest).split([' ', ',']);
     let power = |word: &str| {

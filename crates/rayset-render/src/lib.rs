@@ -1,5 +1,5 @@
-//! Scenes and pictures: the volume scene graph, fields of points, rays through them, and pictures in linear light. A part
-//! of the library `rayset`, which says what of it is public.
+//! Scenes and pictures: the volume scene graph, fields of points, rays through them, and pictures
+//! in linear light. A part of the library `rayset`, which says what of it is public.
 #![deny(unsafe_code)]
 
 pub mod field;

@@ -1,8 +1,10 @@
-//! Temporary storage for records: a few large temporary files beside the output, removed on any exit; or memory.
+//! Temporary storage for records: a few large temporary files beside the output, removed on any
+//! exit; or memory.
 //!
-//! On Linux a temporary file never has a name if the file system supports unnamed files; on other Unix systems it is
-//! unlinked as soon as it is open. So it never outlives the process, even if that is killed. On other systems it is removed
-//! when dropped, and a later build of the same output removes what a killed one left.
+//! On Linux a temporary file never has a name if the file system supports unnamed files; on other
+//! Unix systems it is unlinked as soon as it is open. So it never outlives the process, even if
+//! that is killed. On other systems it is removed when dropped, and a later build of the same
+//! output removes what a killed one left.
 
 use std::fs::File;
 use std::io;
@@ -13,8 +15,8 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::output::{Access, Destination, Purpose, create_unique};
 
-/// Temporarily stored records: in an unnamed file, or in memory if no file is to be created; or stretches of files that others
-/// have written, one after another.
+/// Temporarily stored records: in an unnamed file, or in memory if no file is to be created; or
+/// stretches of files that others have written, one after another.
 #[derive(Debug)]
 pub enum Spill {
     /// In a file without a name.
@@ -81,7 +83,8 @@ pub struct TemporaryFile {
     path: PathBuf,
 }
 
-/// A file in a folder that never has a name; an error if the file system does not support such files.
+/// A file in a folder that never has a name; an error if the file system does not support such
+/// files.
 #[cfg(target_os = "linux")]
 fn without_name(folder: &Path) -> io::Result<File> {
     use std::os::unix::fs::OpenOptionsExt;

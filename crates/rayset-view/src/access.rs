@@ -1,9 +1,11 @@
-//! Who may look: tokens that open a page once, cookies that keep it open, and the names under which the program may be reached.
+//! Who may look: tokens that open a page once, cookies that keep it open, and the names under which
+//! the program may be reached.
 //!
-//! Any program and any page on a machine can connect to a port of it. A token, printed by the program, proves that whoever opens the page has
-//! been told; it is used up by the first visit and becomes a cookie that scripts cannot read and that no other site can send along.
-//! `Host` is checked so that a name that somebody else points at this machine opens nothing (DNS rebinding), `Origin` so that no other
-//! page can open the socket.
+//! Any program and any page on a machine can connect to a port of it. A token, printed by the
+//! program, proves that whoever opens the page has been told; it is used up by the first visit and
+//! becomes a cookie that scripts cannot read and that no other site can send along. `Host` is
+//! checked so that a name that somebody else points at this machine opens nothing (DNS rebinding),
+//! `Origin` so that no other page can open the socket.
 
 use std::collections::VecDeque;
 use std::net::IpAddr;
@@ -159,13 +161,14 @@ impl Access {
         }
     }
 
-    /// Checks that a request comes from a page of this program: its origin is the host that it was sent to.
+    /// Checks that a request comes from a page of this program: its origin is the host that it was
+    /// sent to.
     pub(crate) fn check_origin(&self, headers: &HeaderMap) -> Result<(), Refusal> {
         let host = text(headers, &header::HOST).ok_or(Refusal::Origin)?;
         let origin = text(headers, &header::ORIGIN).ok_or(Refusal::Origin)?;
         let site = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
-        // A proxy in front may take other names for the same place; those that it was told of count as one.
-        // Without a port, it is the usual one that was allowed, not any.
+        // A proxy in front may take other names for the same place; those that it was told of count
+        // as one. Without a port, it is the usual one that was allowed, not any.
         let is_allowed =
             |name: &str| self.allowed_hosts.iter().any(|allowed| allowed.eq_ignore_ascii_case(name));
         match site {

@@ -1,4 +1,5 @@
-//! What a page asks for besides pictures to look at, answered by a thread of its own: such an answer does not wait for a picture.
+//! What a page asks for besides pictures to look at, answered by a thread of its own: such an
+//! answer does not wait for a picture.
 
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -58,7 +59,8 @@ pub(crate) fn answer(
             Ask::Save(show) => saved(&show, opened),
             Ask::Command { question, show } => ToPage::Command { question, command: opened.command(&show) },
             Ask::Engine { with_map } => {
-                // A cloud that cannot be read has no map; what is wrong with it is said where it is rendered.
+                // A cloud that cannot be read has no map; what is wrong with it is said where it is
+                // rendered.
                 let map = map.get_or_insert_with(|| Map::new(opened).unwrap_or_default());
                 ToPage::Engine(Box::new(engine::report(session, map.as_ref(), with_map)))
             }

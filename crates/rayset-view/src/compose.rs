@@ -1,5 +1,5 @@
-//! The scene that a page sees: the one that was opened, with the page's changes. It is a scene file, so that what is seen can be
-//! saved and rendered as it is.
+//! The scene that a page sees: the one that was opened, with the page's changes. It is a scene
+//! file, so that what is seen can be saved and rendered as it is.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -116,8 +116,9 @@ impl Opened {
         Ok(Legend { look, line, is_lit, exposure, transfer_function, classes, densities, remarks })
     }
 
-    /// The command that renders what a page sees, as a shell reads it; `None` if no options say it. The scene of the command is made, and
-    /// compared with that of the page: a command that is given means the same bytes.
+    /// The command that renders what a page sees, as a shell reads it; `None` if no options say it.
+    /// The scene of the command is made, and compared with that of the page: a command that is
+    /// given means the same bytes.
     pub(crate) fn command(&self, show: &Show) -> Option<String> {
         let looks = self.subject.looks.as_ref()?;
         let changes = &show.changes;
@@ -131,7 +132,8 @@ impl Opened {
             without_comments(&mut scene);
             (scene == seen).then_some(words)
         };
-        // What is up in the picture is what is up in the data, or follows from it: straight from above, where it is north.
+        // What is up in the picture is what is up in the data, or follows from it: straight from
+        // above, where it is north.
         let camera = style_of(&show.camera);
         let without_up = Style { up: None, ..camera.clone() };
         let mut words = means_the_same(camera).or_else(|| means_the_same(without_up))?;

@@ -18,8 +18,8 @@ use tokio::time::{Instant, Sleep, sleep, sleep_until};
 const MOST: usize = 128;
 /// A socket that says nothing for so long is closed. Pages answer a ping more often than that.
 const SILENCE: Duration = Duration::from_secs(30);
-/// A request must have come, whole, this long after the connection was made or the last answer was given: visitors without credentials
-/// do not hold places by bytes that trickle in.
+/// A request must have come, whole, this long after the connection was made or the last answer was
+/// given: visitors without credentials do not hold places by bytes that trickle in.
 const REQUEST: Duration = Duration::from_secs(5);
 /// How the answer begins that makes a connection a socket.
 const SWITCHED: &[u8] = b"HTTP/1.1 101";
@@ -65,7 +65,8 @@ impl Listener for Limited {
 /// A connection that ends when a request takes too long, or when a socket is silent.
 pub(crate) struct Connection {
     stream: TcpStream,
-    /// When it is closed if no request has been answered, or nothing been heard of a socket, until then.
+    /// When it is closed if no request has been answered, or nothing been heard of a socket, until
+    /// then.
     end: Pin<Box<Sleep>>,
     is_socket: bool,
     _place: OwnedSemaphorePermit,

@@ -48,8 +48,8 @@ pub(crate) struct Turn {
     pub(crate) degrees: f64,
 }
 
-/// The graph `root` cut by a section box and by solids. `bounds` are those of the scene; `cap` is the colour that fills what the cuts
-/// open, if they are to be filled.
+/// The graph `root` cut by a section box and by solids. `bounds` are those of the scene; `cap` is
+/// the colour that fills what the cuts open, if they are to be filled.
 pub(crate) fn cut(
     root: Value,
     bounds: &Aabb,

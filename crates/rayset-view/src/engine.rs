@@ -1,4 +1,5 @@
-//! What the engine does, made visible: which pages of the cloud are in memory, what was read, how long rays waited.
+//! What the engine does, made visible: which pages of the cloud are in memory, what was read, how
+//! long rays waited.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,7 +21,8 @@ pub(crate) struct Report {
     /// Bytes that pages may take.
     pub(crate) budget: u64,
     pub(crate) kinds: Vec<KindReport>,
-    /// Boxes of the map, world space: least and largest coordinates of each. Only if they were asked for.
+    /// Boxes of the map, world space: least and largest coordinates of each. Only if they were
+    /// asked for.
     pub(crate) regions: Option<Vec<[[f64; 3]; 2]>>,
     /// Of each region, the part of its pages that is in memory, 0 to 1.
     pub(crate) resident: Vec<f32>,

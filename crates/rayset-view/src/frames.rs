@@ -1,4 +1,5 @@
-//! The pictures of one page: a thread takes what the page wants, has the session trace it, and sends it, coarse first.
+//! The pictures of one page: a thread takes what the page wants, has the session trace it, and
+//! sends it, coarse first.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -47,7 +48,8 @@ pub(crate) struct Frames {
     most_pixels: u64,
     /// What was shown last at rest.
     prepared: Option<Prepared>,
-    /// What was shown last while it moved: with longer steps and coarser shadows, and without caps, which take a while.
+    /// What was shown last while it moved: with longer steps and coarser shadows, and without caps,
+    /// which take a while.
     draft: Option<Prepared>,
     /// Told of what is shown, for those who ask about it.
     current: Current,
@@ -75,8 +77,8 @@ impl Prepared {
     }
 }
 
-/// Settings with which a picture that moves is traced in a fraction of the time. Steps of a radius, four times the customary ones, hardly
-/// ever miss a surface.
+/// Settings with which a picture that moves is traced in a fraction of the time. Steps of a radius,
+/// four times the customary ones, hardly ever miss a surface.
 fn drafted(settings: RenderSettings) -> RenderSettings {
     const STEPS: f64 = 4.0;
     const LONGEST_FRACTION: f64 = 1.0;
@@ -174,7 +176,8 @@ impl Frames {
         }
     }
 
-    /// The scene that a page wants. Only what has changed is prepared anew: never for the camera alone.
+    /// The scene that a page wants. Only what has changed is prepared anew: never for the camera
+    /// alone.
     fn prepared(&mut self, show: &Show, grade: Grade) -> Result<&Prepared, Unfinished> {
         show.check(MOST_EDGE, self.most_pixels).map_err(Unfinished::Problem)?;
         let whole = self.without_camera(show, true)?;
@@ -218,7 +221,8 @@ impl Frames {
         Ok(composed)
     }
 
-    /// A scene to be seen at rest. If there is no memory for it besides the one that moves, that one is made again when it is needed.
+    /// A scene to be seen at rest. If there is no memory for it besides the one that moves, that
+    /// one is made again when it is needed.
     fn at_rest(&mut self, show: &Show, composed: Value) -> Result<Prepared, Unfinished> {
         let first = self.prepare(show, composed.clone(), |settings| settings);
         if matches!(first, Err(Unfinished::NoMemory(_))) && self.draft.take().is_some() {
@@ -235,7 +239,8 @@ impl Frames {
         adapted: impl Fn(RenderSettings) -> RenderSettings,
     ) -> Result<Prepared, Unfinished> {
         let file = self.opened.parse(&composed).map_err(Unfinished::Problem)?;
-        // Distances, with which the page moves a picture until the next has come. They change no pixel.
+        // Distances, with which the page moves a picture until the next has come. They change no
+        // pixel.
         let scene = self.session.prepare(&file.scene, &adapted(file.settings).with_layers(true))?;
         self.pin_nodes();
         let legend = self.opened.legend(&show.changes, scene.remarks()).map_err(Unfinished::Problem)?;
@@ -243,7 +248,8 @@ impl Frames {
         Ok(Prepared { composed, scene, file: Arc::new(file) })
     }
 
-    /// Keeps the coarse parts of octrees in memory, where they take little of it: a camera that jumps needs them first.
+    /// Keeps the coarse parts of octrees in memory, where they take little of it: a camera that
+    /// jumps needs them first.
     fn pin_nodes(&self) {
         const PART: u64 = 8;
         let clouds = clouds(&self.opened.file.scene.root);
@@ -285,7 +291,8 @@ impl Frames {
         self.give(payload::whole(order.show.generation, frame, &self.shown, &self.depths, BEHIND))
     }
 
-    /// The picture that `rayset render` makes, part by part, without loss: one ray a pixel first, then all.
+    /// The picture that `rayset render` makes, part by part, without loss: one ray a pixel first,
+    /// then all.
     fn fine(
         &mut self,
         order: &Order,

@@ -1,14 +1,16 @@
-//! A viewer in the browser: a server on the user's own machine, whose page looks around in a scene that the session traces
-//! within its memory.
+//! A viewer in the browser: a server on the user's own machine, whose page looks around in a scene
+//! that the session traces within its memory.
 //!
-//! One visit, followed through the files (ARCHITECTURE.md has it as a table): [`Server::start`] (`server`) listens; a visitor with a token (`access`) gets the page
-//! (`page`), which opens a socket and says what it wants to see (`protocol`); its wishes (`wanted`) are fulfilled by a thread
-//! (`frames`) that makes a scene of them (`compose`), has the session trace it, at a resolution that keeps up with motion
-//! (`pacing`), and sends the pictures (`payload`). A page's connection is `visit`; looks that it can choose `looks`, cuts `cuts`; questions
-//! besides are answered in `asks`, `picking` and `engine`; `saving` renders pictures for files.
+//! One visit, followed through the files (ARCHITECTURE.md has it as a table): [`Server::start`]
+//! (`server`) listens; a visitor with a token (`access`) gets the page (`page`), which opens a
+//! socket and says what it wants to see (`protocol`); its wishes (`wanted`) are fulfilled by a
+//! thread (`frames`) that makes a scene of them (`compose`), has the session trace it, at a
+//! resolution that keeps up with motion (`pacing`), and sends the pictures (`payload`). A page's
+//! connection is `visit`; looks that it can choose `looks`, cuts `cuts`; questions besides are
+//! answered in `asks`, `picking` and `engine`; `saving` renders pictures for files.
 //!
-//! Nothing of the engine is reached around: pictures come from [`rayset::View::render`], and the last of them is that of
-//! `rayset render`, bit for bit.
+//! Nothing of the engine is reached around: pictures come from [`rayset::View::render`], and the
+//! last of them is that of `rayset render`, bit for bit.
 
 mod access;
 mod asks;
@@ -30,7 +32,8 @@ mod server;
 mod visit;
 mod wanted;
 
-/// Takes a message as a page would send it, for tests: reads it, and makes of a wish the scene that would be traced.
+/// Takes a message as a page would send it, for tests: reads it, and makes of a wish the scene that
+/// would be traced.
 ///
 /// # Errors
 /// What is wrong with it.

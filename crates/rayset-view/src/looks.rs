@@ -18,7 +18,8 @@ pub trait Looks: Send + Sync {
     /// Gives a scene in a style another exposure, in stops, as the command does.
     fn expose(&self, scene: &mut Value, stops: f64);
 
-    /// The command that renders it in a style with a camera, and the scene that this command renders.
+    /// The command that renders it in a style with a camera, and the scene that this command
+    /// renders.
     ///
     /// # Errors
     /// As of [`styled`](Self::styled).

@@ -4,10 +4,11 @@ use std::time::Duration;
 
 /// What a frame of a moving picture may take, in seconds.
 const FRAME_SECONDS: f64 = 0.05;
-/// A scale is left for a coarser one when a frame is expected to take longer than this many of [`FRAME_SECONDS`].
+/// A scale is left for a coarser one when a frame is expected to take longer than this many of
+/// [`FRAME_SECONDS`].
 const TOO_LONG: f64 = 1.25;
-/// The next finer scale is taken when its frames are expected to take less than this. In between, the scale stays, so that the
-/// picture does not flicker between two.
+/// The next finer scale is taken when its frames are expected to take less than this. In between,
+/// the scale stays, so that the picture does not flicker between two.
 const SHORT_ENOUGH: f64 = 0.8;
 /// From one scale to the next, the number of rays halves.
 const COARSEST: u32 = 12;
@@ -25,7 +26,8 @@ pub(crate) struct Pacing {
 
 impl Pacing {
     pub(crate) fn new() -> Self {
-        // The first frame has the fewest rays: it is there the sooner, and tells how many the next may have.
+        // The first frame has the fewest rays: it is there the sooner, and tells how many the next
+        // may have.
         Self { seconds_per_ray: 1e-6, halvings: COARSEST }
     }
 
@@ -36,7 +38,8 @@ impl Pacing {
         self.seconds_per_ray += 0.4 * (measured - self.seconds_per_ray);
     }
 
-    /// Takes note of a frame that was given up after some time: it would have taken longer, how much is not known.
+    /// Takes note of a frame that was given up after some time: it would have taken longer, how
+    /// much is not known.
     pub(crate) fn gave_up(&mut self, size: [u32; 2], time: Duration) {
         self.traced(size, 3 * time);
     }

@@ -66,8 +66,10 @@ impl Depths {
         self.distances[at..].iter_mut().zip(distances).for_each(|(to, distance)| *to = distance);
     }
 
-    /// Every so many-th distance of every so many-th row, such that rows have at most [`MOST_DEPTHS`]: their number in a row,
-    /// in a column, the least distance, how far behind the surface they may be, and for each the quotient of the least by it, in 65535ths; 0 is infinite.
+    /// Every so many-th distance of every so many-th row, such that rows have at most
+    /// [`MOST_DEPTHS`]: their number in a row, in a column, the least distance, how far behind the
+    /// surface they may be, and for each the quotient of the least by it, in 65535ths; 0 is
+    /// infinite.
     fn encode(&self, into: &mut Vec<u8>) {
         let stride = self.width.div_ceil(MOST_DEPTHS).max(1) as usize;
         let rows: Vec<&[f32]> = self.distances.chunks(self.width.max(1) as usize).step_by(stride).collect();
@@ -110,12 +112,14 @@ pub(crate) fn whole(
     let mut encoder = Encoder::new(&mut message, QUALITY);
     // Colours of one side of an edge do not reach over it: the page moves both sides apart.
     encoder.set_sampling_factor(SamplingFactor::F_1_1);
-    // Writing to memory does not fail, and the size has been checked; a message without a picture is left out by the page.
+    // Writing to memory does not fail, and the size has been checked; a message without a picture
+    // is left out by the page.
     let _ = encoder.encode_image(OverBackground { shown, background });
     message
 }
 
-/// A picture over a background. The encoder compiles itself for each kind of image; this is the only one.
+/// A picture over a background. The encoder compiles itself for each kind of image; this is the
+/// only one.
 struct OverBackground<'a> {
     shown: &'a Shown,
     background: [u8; 3],

@@ -24,9 +24,11 @@ pub(crate) struct Picked {
     pub(crate) point: Option<Point>,
     /// The value of the voxel there, if a grid is seen.
     pub(crate) value: Option<f64>,
-    /// How exactly places are known, in world space: of a point as its file stores it, of other things as they are seen.
+    /// How exactly places are known, in world space: of a point as its file stores it, of other
+    /// things as they are seen.
     pub(crate) error: f64,
-    /// The step of the coordinates that the point's file was made from, in world space; `None` if it is not known.
+    /// The step of the coordinates that the point's file was made from, in world space; `None` if
+    /// it is not known.
     pub(crate) step: Option<f64>,
 }
 
@@ -66,7 +68,8 @@ pub(crate) fn pick(
     let place = camera.position + camera.direction.normalize() * f64::from(seen.depth);
     picked.position = Some(place.to_array());
     let distance = f64::from(seen.depth);
-    // A pixel is as wide as this there. What is no point is seen at most a step behind where it begins.
+    // A pixel is as wide as this there. What is no point is seen at most a step behind where it
+    // begins.
     let wide = show.camera.height.unwrap_or(2.0 * (0.5 * show.camera.fovy.to_radians()).tan() * distance);
     let pixel = wide / f64::from(show.size[1].max(1));
     picked.error = pixel.max(scene.longest_step()).max(distance * f64::from(f32::EPSILON));

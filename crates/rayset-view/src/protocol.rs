@@ -1,8 +1,8 @@
 //! What page and program say to each other over the WebSocket.
 //!
-//! The page says, whenever anything changes, everything that is to be seen ([`Show`]): a message needs none before it, so a page
-//! that connects again goes on where it was. Pictures go the other way as binary messages ([`FrameHead`], then the pixels),
-//! everything else as JSON.
+//! The page says, whenever anything changes, everything that is to be seen ([`Show`]): a message
+//! needs none before it, so a page that connects again goes on where it was. Pictures go the other
+//! way as binary messages ([`FrameHead`], then the pixels), everything else as JSON.
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -36,7 +36,8 @@ pub(crate) enum FromPage {
         at: [f64; 2],
         show: Box<Show>,
     },
-    /// What is in memory, and what has been read? With the map of the cloud, if it is not known yet.
+    /// What is in memory, and what has been read? With the map of the cloud, if it is not known
+    /// yet.
     Engine {
         #[serde(default)]
         with_map: bool,
@@ -82,7 +83,8 @@ pub(crate) struct Pose {
     pub(crate) up: [f64; 3],
     /// Vertical angle in degrees.
     pub(crate) fovy: f64,
-    /// Height of the picture of an orthographic camera, in the units of the data; `None` of one with an angle.
+    /// Height of the picture of an orthographic camera, in the units of the data; `None` of one
+    /// with an angle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) height: Option<f64>,
 }
@@ -111,7 +113,8 @@ pub(crate) struct Changes {
     pub(crate) style: Option<PageStyle>,
 }
 
-/// A style from a page. Its keys are valid options; its values may be invalid, and are checked when the scene is composed.
+/// A style from a page. Its keys are valid options; its values may be invalid, and are checked when
+/// the scene is composed.
 #[derive(Clone, Debug, Deserialize, Serialize, PartialEq)]
 #[serde(try_from = "Map<String, Value>")]
 pub(crate) struct PageStyle(Map<String, Value>);
@@ -235,7 +238,8 @@ pub(crate) enum ToPage {
 /// Bytes of the head of a frame.
 pub(crate) const HEAD_BYTES: usize = 16;
 
-/// The head of a binary message, little endian: what follows, of which generation, and where it belongs.
+/// The head of a binary message, little endian: what follows, of which generation, and where it
+/// belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameHead {
     pub(crate) kind: FrameKind,
@@ -253,8 +257,8 @@ pub(crate) struct FrameHead {
 pub(crate) enum FrameKind {
     /// Distances from the eye (see `Depths`), then one JPEG, the whole picture.
     Whole = 1,
-    /// Rectangles, `x`, `y`, `width` and `height` of each as 16-bit numbers; then, compressed by zlib, their pixels, row
-    /// by row, rectangle by rectangle: 8-bit RGBA, straight alpha.
+    /// Rectangles, `x`, `y`, `width` and `height` of each as 16-bit numbers; then, compressed by
+    /// zlib, their pixels, row by row, rectangle by rectangle: 8-bit RGBA, straight alpha.
     Rectangles = 2,
     /// The next bytes of a picture that is saved as a file; not acknowledged.
     Piece = 3,

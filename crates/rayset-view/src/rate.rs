@@ -2,7 +2,8 @@
 
 use std::time::Instant;
 
-/// Messages a second. A page sends one for each frame of a screen, of which fast ones have 360, and one for each frame that it gets.
+/// Messages a second. A page sends one for each frame of a screen, of which fast ones have 360, and
+/// one for each frame that it gets.
 const A_SECOND: f64 = 600.0;
 /// Messages at once.
 const AT_ONCE: f64 = 1000.0;

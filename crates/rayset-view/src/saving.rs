@@ -1,5 +1,5 @@
-//! Pictures of any size as files: traced band by band, encoded as they come, and sent piece by piece, so that none is ever whole in
-//! memory.
+//! Pictures of any size as files: traced band by band, encoded as they come, and sent piece by
+//! piece, so that none is ever whole in memory.
 
 use std::io::{self, Write};
 
@@ -26,7 +26,8 @@ const MOST_ROWS: u64 = 32;
 /// Parts that progress is told in.
 const PARTS: u32 = 100;
 
-/// Renders what a page sees and sends it as a PNG file, within `bytes` of memory besides the session's.
+/// Renders what a page sees and sends it as a PNG file, within `bytes` of memory besides the
+/// session's.
 ///
 /// # Errors
 /// Why it is not whole, for the person who wanted it.

@@ -27,10 +27,11 @@ use crate::visit::{self, Places};
 
 /// Most pages that are connected at a time.
 pub(crate) const MOST_PAGES: usize = 4;
-/// Bytes that a page's picture takes for each of its pixels: as it is shown, its distances, on its way, and the rows that are shaded at
-/// the end with those around them.
+/// Bytes that a page's picture takes for each of its pixels: as it is shown, its distances, on its
+/// way, and the rows that are shaded at the end with those around them.
 const PIXEL_BYTES: u64 = 20;
-/// What the page may do: run its own scripts, show its own pictures, speak to this server, and nothing else.
+/// What the page may do: run its own scripts, show its own pictures, speak to this server, and
+/// nothing else.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
     connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 
@@ -44,12 +45,13 @@ pub struct Options {
     pub port: u16,
     /// Lets in whoever knows it.
     pub password: Option<String>,
-    /// Names besides those of this machine, with or without a port, under which a proxy may be reached.
+    /// Names besides those of this machine, with or without a port, under which a proxy may be
+    /// reached.
     pub allowed_hosts: Vec<String>,
     /// Bytes for the pictures of all pages together.
     pub picture_bytes: u64,
-    /// The most that they get of any memory, and the part of the process's memory that they get of less, as one by this number: pages are
-    /// told which memory would give them more pixels.
+    /// The most that they get of any memory, and the part of the process's memory that they get of
+    /// less, as one by this number: pages are told which memory would give them more pixels.
     pub most_picture_bytes: u64,
     /// See `most_picture_bytes`.
     pub picture_share: u64,
@@ -150,7 +152,8 @@ pub(crate) struct Ready {
 pub struct Opener(Arc<Shared>);
 
 impl Opener {
-    /// Pages that wait are told how far it is: what is being done, and which part of it, 0 to 1, is done.
+    /// Pages that wait are told how far it is: what is being done, and which part of it, 0 to 1, is
+    /// done.
     pub fn progress(&self, what: &str, part: f64) {
         self.0.stage.send_replace(Stage::Opening { what: what.to_owned(), part });
     }
@@ -179,7 +182,8 @@ impl Opener {
 }
 
 impl Server {
-    /// Listens. What there is to see follows by [`opener`](Self::opener). `log` is given a line for every visitor who is refused.
+    /// Listens. What there is to see follows by [`opener`](Self::opener). `log` is given a line for
+    /// every visitor who is refused.
     ///
     /// # Errors
     /// [`ServeError`] if the port cannot be had, or if it would be open to everybody.
@@ -368,8 +372,8 @@ async fn index(
 ) -> Response {
     if let Some(token) = visit.token {
         return match shared.access.redeem(&token) {
-            // A page that goes on by itself, and no redirection: that would count as coming from wherever the link was, and the cookie
-            // would not come along.
+            // A page that goes on by itself, and no redirection: that would count as coming from
+            // wherever the link was, and the cookie would not come along.
             Ok(cookie) => ([(header::SET_COOKIE, cookie)], Html(WELCOME)).into_response(),
             // A link that is opened again by the same browser still leads to the page.
             Err(_) if shared.access.check_cookie(&headers).is_ok() => {

@@ -62,7 +62,8 @@ impl Drop for Places {
 
 /// Speaks with a page until either side has enough.
 pub(crate) async fn serve(place: Places, mut socket: WebSocket) {
-    // The place is free again when the page's threads, too, have ended: one may be preparing a scene.
+    // The place is free again when the page's threads, too, have ended: one may be preparing a
+    // scene.
     let place = Arc::new(place);
     let shared = place.shared.clone();
     let Some(ready) = opened(&shared, &mut socket).await else { return };
@@ -99,7 +100,8 @@ pub(crate) async fn refuse(what: String, mut socket: WebSocket) {
     let _ = deliver(&mut socket, Message::Close(None)).await;
 }
 
-/// Waits until there is something to see, and tells the page meanwhile how far it is; `None` if the page does not wait.
+/// Waits until there is something to see, and tells the page meanwhile how far it is; `None` if the
+/// page does not wait.
 async fn opened(shared: &Shared, socket: &mut WebSocket) -> Option<Arc<Ready>> {
     let mut stage = shared.stage.subscribe();
     let (mut rate, mut pings) = (Rate::new(), tokio::time::interval(BETWEEN_PINGS));
@@ -144,7 +146,8 @@ struct Saving {
 }
 
 impl Page {
-    /// Starts the threads of a page: one makes its pictures, one answers its questions. `None` if the system starts none.
+    /// Starts the threads of a page: one makes its pictures, one answers its questions. `None` if
+    /// the system starts none.
     fn start(place: &Arc<Places>, ready: Arc<Ready>, send: mpsc::Sender<Outgoing>) -> Option<Self> {
         let (wanted, current) = (Arc::new(Wanted::default()), Current::default());
         let (asks, questions) = std::sync::mpsc::sync_channel(QUESTIONS_WAITING);
@@ -167,7 +170,8 @@ impl Page {
         Some(page)
     }
 
-    /// Runs something on a thread of its own. `None`, and a line in the log, if the system starts none.
+    /// Runs something on a thread of its own. `None`, and a line in the log, if the system starts
+    /// none.
     fn thread(&self, run: impl FnOnce() + std::marker::Send + 'static) -> Option<()> {
         let place = self.place.clone();
         let started = std::thread::Builder::new().name("rayset-view".into()).spawn(move || {
@@ -184,7 +188,8 @@ impl Page {
         Box::new(move |message| send.blocking_send(message).is_ok())
     }
 
-    /// Takes note of what a page says; returns the answer, if there is one at once. An error ends the connection.
+    /// Takes note of what a page says; returns the answer, if there is one at once. An error ends
+    /// the connection.
     fn hear(&self, rate: &mut Rate, message: Message) -> Result<Option<ToPage>, ()> {
         let log = &self.shared.log;
         if !rate.allows() {

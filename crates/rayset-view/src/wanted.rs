@@ -1,4 +1,5 @@
-//! What a page wants to see, shared by its connection, which hears of it, and its pictures' thread, which makes it.
+//! What a page wants to see, shared by its connection, which hears of it, and its pictures' thread,
+//! which makes it.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -9,8 +10,8 @@ use crate::protocol::Show;
 
 /// Most frames on their way to a page: one that it draws, and one behind it.
 const MOST_IN_FLIGHT: u32 = 2;
-/// A quick frame that has taken longer than this is given up for a newer one. Sooner, and a scene that is slow to trace would show nothing
-/// while it moves.
+/// A quick frame that has taken longer than this is given up for a newer one. Sooner, and a scene
+/// that is slow to trace would show nothing while it moves.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// The latest wish of a page, and how far it has been fulfilled.
@@ -81,7 +82,8 @@ impl Wanted {
         self.notify();
     }
 
-    /// Wakes whoever waits. Under the lock, so that none that has just looked, and found nothing, misses it.
+    /// Wakes whoever waits. Under the lock, so that none that has just looked, and found nothing,
+    /// misses it.
     fn notify(&self) {
         let _state = self.lock();
         self.changed.notify_all();
@@ -107,8 +109,8 @@ impl Wanted {
         self.notify();
     }
 
-    /// Waits for a picture to make: first a quick one of what is wanted, then, if nothing moves, a fine one. `None` once nobody
-    /// looks any more.
+    /// Waits for a picture to make: first a quick one of what is wanted, then, if nothing moves, a
+    /// fine one. `None` once nobody looks any more.
     pub(crate) fn next(&self) -> Option<Order> {
         let mut state = self.lock();
         loop {
@@ -131,7 +133,8 @@ impl Wanted {
         state.done = Some(Done { show: order.show.clone(), grade: order.grade, is_shown: true });
     }
 
-    /// Takes note that an order cannot be fulfilled. What cannot be shown quickly cannot be shown finely either.
+    /// Takes note that an order cannot be fulfilled. What cannot be shown quickly cannot be shown
+    /// finely either.
     pub(crate) fn failed(&self, order: &Order) {
         let mut state = self.lock();
         state.working = None;
@@ -149,7 +152,8 @@ impl Wanted {
         state.has_room().then(|| state.send())
     }
 
-    /// Waits until a frame may be sent; `None` if `cancel` is cancelled first, or nobody looks any more.
+    /// Waits until a frame may be sent; `None` if `cancel` is cancelled first, or nobody looks any
+    /// more.
     pub(crate) fn wait_to_send(&self, cancel: &CancelToken) -> Option<u32> {
         let mut state = self.lock();
         loop {
@@ -173,7 +177,8 @@ impl State {
     fn to_do(&self) -> Option<(Arc<Show>, Grade)> {
         let show = self.show.as_ref()?;
         let reached = self.done.as_ref().filter(|done| done.show.generation == show.generation);
-        // A picture that has come to rest has been shown quickly while it moved: again would be no better.
+        // A picture that has come to rest has been shown quickly while it moved: again would be no
+        // better.
         let before = self.done.as_ref().filter(|done| done.is_shown && is_same_picture(&done.show, show));
         match reached.map(|done| done.grade).or(before.map(|_| Grade::Quick)) {
             None => Some((show.clone(), Grade::Quick)),

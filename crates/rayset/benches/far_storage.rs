@@ -1,11 +1,12 @@
 //! Pictures of clouds that are 50 ms away: `cargo bench -p rayset --bench far_storage [-- WORD…]`.
 //!
-//! The storage is simulated: each request is answered after 50 ms, 20 % more or less, and at most 64 are in flight. Of each case the
-//! time is compared with 1.3 times the larger of the time with all pages in memory and that of the distinct pages that rays ask for, 50 ms
-//! each and 64 at a time; plus ten round trips. Requests are counted for each of these pages, too. Ends with 1 if a limit is exceeded (with
-//! the predictor `packet`). `figure=FOLDER` adds a scene `fig10.json` with its data, as
-//! `rayset figure 10 --data FOLDER` writes it; `predictors` adds those without look-ahead; `parts=10,40` has room for a tenth of the pages,
-//! and for a fortieth.
+//! The storage is simulated: each request is answered after 50 ms, 20 % more or less, and at most
+//! 64 are in flight. Of each case the time is compared with 1.3 times the larger of the time with
+//! all pages in memory and that of the distinct pages that rays ask for, 50 ms each and 64 at a
+//! time; plus ten round trips. Requests are counted for each of these pages, too. Ends with 1 if a
+//! limit is exceeded (with the predictor `packet`). `figure=FOLDER` adds a scene `fig10.json` with
+//! its data, as `rayset figure 10 --data FOLDER` writes it; `predictors` adds those without
+//! look-ahead; `parts=10,40` has room for a tenth of the pages, and for a fortieth.
 #![allow(clippy::print_stdout, reason = "it prints what it measured")]
 
 use std::io::Cursor;

@@ -1,9 +1,11 @@
-//! What a request for a page costs, by the number of pages and of threads: `cargo bench -p rayset --bench page_pool`.
+//! What a request for a page costs, by the number of pages and of threads:
+//! `cargo bench -p rayset --bench page_pool`.
 //!
-//! Pages are small and their reads cost nothing, so that what is measured is the pool itself. `hits`: all pages fit. `half`: half
-//! of them do. `walk`: requests are for 32 neighbours at a time, as those of a tile are; `random`: for any page, which costs
-//! what the processor's caches do not hold. With `RAYSET_POOL_ONCE=PAGES,FIT,NEIGHBOURS,REQUESTS` it makes so many requests once, for
-//! counting instructions (`valgrind --tool=callgrind`).
+//! Pages are small and their reads cost nothing, so that what is measured is the pool itself.
+//! `hits`: all pages fit. `half`: half of them do. `walk`: requests are for 32 neighbours at a
+//! time, as those of a tile are; `random`: for any page, which costs what the processor's caches do
+//! not hold. With `RAYSET_POOL_ONCE=PAGES,FIT,NEIGHBOURS,REQUESTS` it makes so many requests once,
+//! for counting instructions (`valgrind --tool=callgrind`).
 
 use std::io;
 use std::sync::Arc;
@@ -76,8 +78,9 @@ fn set(pages: u32, fit: u32) -> (WorkingSet, Arc<Object>) {
     (set, object)
 }
 
-/// Makes requests for pages: at random among so many neighbours (a power of two), for four times as long as there are of
-/// them, and then elsewhere. All pages are their neighbours where there are more than pages.
+/// Makes requests for pages: at random among so many neighbours (a power of two), for four times as
+/// long as there are of them, and then elsewhere. All pages are their neighbours where there are
+/// more than pages.
 fn requests(set: &WorkingSet, object: &Arc<Object>, pages: u32, neighbours: u32, count: u64, seed: u64) {
     let client = set.client(&CancelToken::new());
     let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
@@ -96,7 +99,8 @@ fn requests(set: &WorkingSet, object: &Arc<Object>, pages: u32, neighbours: u32,
     }
 }
 
-/// No two sequences of requests begin alike: of one that is repeated all pages would soon be in memory.
+/// No two sequences of requests begin alike: of one that is repeated all pages would soon be in
+/// memory.
 static SEED: AtomicU64 = AtomicU64::new(1);
 
 /// The time of `count` requests, divided among threads.

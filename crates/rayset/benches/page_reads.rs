@@ -1,9 +1,11 @@
-//! How many pages a render reads where a tile needs more of them than fit, beside rules of eviction that know the future:
-//! `cargo bench -p rayset --bench page_reads`; a word like `cube` picks among the cases.
+//! How many pages a render reads where a tile needs more of them than fit, beside rules of eviction
+//! that know the future: `cargo bench -p rayset --bench page_reads`; a word like `cube` picks among
+//! the cases.
 //!
-//! The requests of a render on one thread without prediction are recorded, tile by tile. Of the same requests, Belady's rule
-//! reads the fewest pages that any rule of eviction can; `LRU` evicts the least recently used page. Then the same is rendered in
-//! the budget, with and without prediction. Counts, not times: they do not depend on what else the machine does.
+//! The requests of a render on one thread without prediction are recorded, tile by tile. Of the
+//! same requests, Belady's rule reads the fewest pages that any rule of eviction can; `LRU` evicts
+//! the least recently used page. Then the same is rendered in the budget, with and without
+//! prediction. Counts, not times: they do not depend on what else the machine does.
 #![allow(clippy::print_stdout, reason = "it prints what it counted")]
 
 use std::collections::{BTreeSet, HashMap};
@@ -23,7 +25,8 @@ use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind};
 use rayset::working_set::{Limits, WorkingSet, least_reads};
 
-/// A workload, translucent or not, in a picture of so many pixels along each side, and the parts of its pages that fit.
+/// A workload, translucent or not, in a picture of so many pixels along each side, and the parts of
+/// its pages that fit.
 struct Case {
     workload: &'static str,
     translucent: bool,
@@ -182,8 +185,9 @@ fn paged(cloud: &Arc<Cloud>, bytes: u64) -> PagedFiles {
     paged
 }
 
-/// The tiles in other orders, named. They were recorded in the order of [`View::tiles`](rayset::View::tiles): squares of 4 by 4
-/// along a curve, and the tiles in each along the curve of the whole picture.
+/// The tiles in other orders, named. They were recorded in the order of
+/// [`View::tiles`](rayset::View::tiles): squares of 4 by 4 along a curve, and the tiles in each
+/// along the curve of the whole picture.
 fn orders(tiles: &[Vec<u32>], side: u32) -> [(&'static str, Vec<Vec<u32>>); 3] {
     let mut recorded = hilbert_order(side, side);
     let mut place = HashMap::new();

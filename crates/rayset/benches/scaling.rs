@@ -1,12 +1,17 @@
-//! What renders cost, block by block: the measurements of `benches/scaling/simulate.py`, which runs this.
+//! What renders cost, block by block: the measurements of `benches/scaling/simulate.py`, which runs
+//! this.
 //!
-//!     scaling cloud mesh=FILE points=N out=FILE [radius=R]   a cloud of points on a mesh, evenly by area
-//!     scaling trace cloud=FILE size=WxH [look=opaque] [unit=32] [field=30] [frames=1] [turn=DEGREES]
-//!     scaling far cloud=FILE size=WxH [look=opaque] [part=1/1] [threads=1] [memory=BYTES] [latency=SECONDS]
+//!     scaling cloud mesh=FILE points=N out=FILE [radius=R]
+//!     scaling trace cloud=FILE size=WxH [look=opaque] [unit=32] [field=30] [frames=1]
+//!                   [turn=DEGREES]
+//!     scaling far cloud=FILE size=WxH [look=opaque] [part=1/1] [threads=1] [memory=BYTES]
+//!                 [latency=SECONDS]
 //!
-//! `trace` renders in core, on one thread, and prints of each square of `unit` pixels (a block has 32): column, row, nanoseconds, and the
-//! pages that its rays ask for. `far` renders a part from a simulated object: each request takes the latency, 20 % more or less, and at
-//! most 64 are in flight. Both print JSON.
+//! `cloud` makes a cloud of points on a mesh, evenly by area.
+//! `trace` renders in core, on one thread, and prints of each square of `unit` pixels (a block
+//! has 32): column, row, nanoseconds, and the pages that its rays ask for. `far` renders a part from a
+//! simulated object: each request takes the latency, 20 % more or less, and at most 64 are in
+//! flight. Both print JSON.
 #![allow(clippy::print_stdout, reason = "it prints what it measured")]
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};

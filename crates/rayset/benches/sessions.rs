@@ -1,6 +1,6 @@
-//! What sessions promise, measured: how soon cancelled calls return, and what two renders at a time cost beside one after the
-//! other: `cargo bench -p rayset --bench sessions`. Not statistics of one number, but 200 moments each; so it prints a table
-//! of its own.
+//! What sessions promise, measured: how soon cancelled calls return, and what two renders at a time
+//! cost beside one after the other: `cargo bench -p rayset --bench sessions`. Not statistics of one
+//! number, but 200 moments each; so it prints a table of its own.
 #![allow(clippy::print_stdout, reason = "it prints what it measured")]
 
 use std::path::Path;
@@ -62,7 +62,8 @@ fn row(name: &str, took: Duration, mut late: Vec<Duration>) {
     println!("| {name} | {took:.1?} | {:.2?} | {:.2?} | {:.2?} |", at(50), at(99), at(100));
 }
 
-/// Runs `call` with a token that is cancelled at a moment, and returns how late it returned after that.
+/// Runs `call` with a token that is cancelled at a moment, and returns how late it returned after
+/// that.
 fn cancelled_at(moment: Duration, call: impl FnOnce(&CancelToken)) -> Duration {
     let cancel = CancelToken::new();
     let canceller = {

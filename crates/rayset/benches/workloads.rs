@@ -1,6 +1,6 @@
 //! Building and rendering the standard workloads, for comparing two states of the code:
-//! `cargo bench -p rayset --bench workloads -- --save-baseline before`, then with `--baseline before`; a word like `1m` picks
-//! among them.
+//! `cargo bench -p rayset --bench workloads -- --save-baseline before`, then with
+//! `--baseline before`; a word like `1m` picks among them.
 //!
 //! `rayset bench` measures the same with memory, reads and stalls; this measures time alone.
 

@@ -1,5 +1,5 @@
-//! Cancels a render at various moments and prints how long the calls took to return, which is next to nothing; then
-//! renders again in the same session: `cargo run --release --example cancel`.
+//! Cancels a render at various moments and prints how long the calls took to return, which is next
+//! to nothing; then renders again in the same session: `cargo run --release --example cancel`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::thread;

@@ -1,5 +1,5 @@
-//! Builds a cloud in memory from arrays of points and renders a picture of it, without any file but the picture: `cargo
-//! run --release --example from_arrays -- [picture.png]`.
+//! Builds a cloud in memory from arrays of points and renders a picture of it, without any file but
+//! the picture: `cargo run --release --example from_arrays -- [picture.png]`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
@@ -16,7 +16,8 @@ use rayset::{Cloud, Session};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let output = std::env::args_os().nth(1).map_or_else(|| PathBuf::from("arrays.png"), PathBuf::from);
 
-    // A kind of spiral galaxy, as from a simulation: positions, smoothing lengths, masses, temperatures.
+    // A kind of spiral galaxy, as from a simulation: positions, smoothing lengths, masses,
+    // temperatures.
     let numbers = 0..40_000_u32;
     let arm = |i: u32| (f64::from(i) / 40_000.0).sqrt();
     let positions: Vec<[f32; 3]> = numbers

@@ -1,5 +1,5 @@
-//! A hundred views of one prepared scene: it is compiled once, and each block of its shadow tables is computed once:
-//! `cargo run --release --example hundred_views -- [picture of the last]`.
+//! A hundred views of one prepared scene: it is compiled once, and each block of its shadow tables
+//! is computed once: `cargo run --release --example hundred_views -- [picture of the last]`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;

@@ -1,5 +1,6 @@
-//! A custom source of points: anything that can provide points in batches can be built like a file, out of core if
-//! necessary. This one generates terrain on demand: `cargo run --release --example own_source -- [picture.png]`.
+//! A custom source of points: anything that can provide points in batches can be built like a file,
+//! out of core if necessary. This one generates terrain on demand:
+//! `cargo run --release --example own_source -- [picture.png]`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;
@@ -10,7 +11,8 @@ use rayset::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource
 use rayset::scene::{Camera, CloudObject, ColorMap, ColorRule, MapInput, RenderSettings, Scene};
 use rayset::{Cloud, Session};
 
-/// Hills on a lattice of `side` by `side` points, generated row by row; a column holds the height of each point.
+/// Hills on a lattice of `side` by `side` points, generated row by row; a column holds the height
+/// of each point.
 struct Hills {
     schema: Schema,
     /// The columns that the build has selected, in that order.

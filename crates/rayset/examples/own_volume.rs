@@ -1,5 +1,5 @@
-//! A custom procedural volume, combined with others by operators, lit and shadowed like them: `cargo run --release
-//! --example own_volume -- [picture.png]`.
+//! A custom procedural volume, combined with others by operators, lit and shadowed like them:
+//! `cargo run --release --example own_volume -- [picture.png]`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;

@@ -1,5 +1,5 @@
-//! A picture that improves pass by pass, from its centre outward; the last pass is bit for bit the picture of a single
-//! pass: `cargo run --release --example progressive -- [folder]`.
+//! A picture that improves pass by pass, from its centre outward; the last pass is bit for bit the
+//! picture of a single pass: `cargo run --release --example progressive -- [folder]`.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;

@@ -1,6 +1,8 @@
-//! Renders a scene file: `cargo run --release --example render_scene -- [scene.json [picture.png]]`.
+//! Renders a scene file:
+//! `cargo run --release --example render_scene -- [scene.json [picture.png]]`.
 //!
-//! Without arguments it renders a small built-in scene: a sphere cut open under a lamp that casts shadows.
+//! Without arguments it renders a small built-in scene: a sphere cut open under a lamp that casts
+//! shadows.
 #![allow(clippy::print_stdout, reason = "an example says what it did")]
 
 use std::path::PathBuf;

@@ -1,7 +1,8 @@
 //! Building clouds of points and grids of voxels in bounded memory.
 //!
-//! [`Cloud::builder`](crate::Cloud::builder) builds into memory or into a file, the same bytes. They depend only on the points and on those [`BuildOptions`] that
-//! say so, not on the memory, the number of threads or the order of the inputs.
+//! [`Cloud::builder`](crate::Cloud::builder) builds into memory or into a file, the same bytes.
+//! They depend only on the points and on those [`BuildOptions`] that say so, not on the memory, the
+//! number of threads or the order of the inputs.
 
 pub use rayset_files::grid::build::{GridBuildError, GridBuildOptions, build as grid_to_file};
 pub use rayset_files::octree::build::{

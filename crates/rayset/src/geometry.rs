@@ -1,6 +1,7 @@
 //! Bounding boxes, vectors and transforms.
 //!
-//! Positions are `f64`, in world space or in the local space of an object (the space of its input file).
+//! Positions are `f64`, in world space or in the local space of an object (the space of its input
+//! file).
 
 #[cfg(feature = "internals")]
 #[doc(hidden)]

@@ -1,20 +1,24 @@
 //! Ray-traces point clouds larger than memory as volumes, within a fixed memory budget.
 //!
-//! Points become a [`Cloud`] ([`build`]): a file, or bytes in memory. A [`Session`] owns a memory budget, threads, and the
-//! pages of clouds that are in memory; a [`scene::Scene`] combines clouds, grids and solids by constructive operators and
-//! has lights; [`Session::prepare`] compiles it, and [`PreparedScene::view`] looks at it through a camera, as often as you
-//! like.
+//! Points become a [`Cloud`] ([`build`]): a file, or bytes in memory. A [`Session`] owns a memory
+//! budget, threads, and the pages of clouds that are in memory; a [`scene::Scene`] combines clouds,
+//! grids and solids by constructive operators and has lights; [`Session::prepare`] compiles it, and
+//! [`PreparedScene::view`] looks at it through a camera, as often as you like.
 //!
 //! ```
 //! use std::sync::Arc;
-//! use rayset::{Cloud, Session, points::SliceSource, scene::{Camera, CloudObject, RenderSettings, Scene}};
+//! use rayset::points::SliceSource;
+//! use rayset::scene::{Camera, CloudObject, RenderSettings, Scene};
+//! use rayset::{Cloud, Session};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! let positions: Vec<[f64; 3]> = (0..1000).map(|i| f64::from(i) * 0.1).map(|t| [t.cos(), 0.02 * t - 1.0, t.sin()]).collect();
+//! let turns = (0..1000).map(|i| f64::from(i) * 0.1);
+//! let positions: Vec<[f64; 3]> = turns.map(|t| [t.cos(), 0.02 * t - 1.0, t.sin()]).collect();
 //! let source = SliceSource::new(&positions);
 //! let cloud = Cloud::builder().source(source).build()?;
 //! let scene = Scene::of_cloud(CloudObject::plain(Arc::new(cloud)));
-//! let camera = Camera::framing(&scene.root.bounds(), [0.0, -0.3, -1.0].into(), [0.0, 1.0, 0.0].into(), 0.8, 1.0, false);
+//! let (view, up) = ([0.0, -0.3, -1.0].into(), [0.0, 1.0, 0.0].into());
+//! let camera = Camera::framing(&scene.root.bounds(), view, up, 0.8, 1.0, false);
 //! let session = Session::builder().memory(256 << 20).build()?;
 //! let settings = RenderSettings::default().with_size(64, 64);
 //! let picture = session.prepare(&scene, &settings)?.view(&camera)?.picture()?;
@@ -25,7 +29,8 @@
 //! # }
 //! ```
 //!
-//! The picture is the same, bit for bit, for every budget, number of threads, way of reading and order of tiles.
+//! The picture is the same, bit for bit, for every budget, number of threads, way of reading and
+//! order of tiles.
 //!
 //! | to | see |
 //! | --- | --- |

@@ -1,7 +1,8 @@
-//! Scene description: the volume scene graph, lights, the camera, and the settings that determine the pixels of the
-//! picture.
+//! Scene description: the volume scene graph, lights, the camera, and the settings that determine
+//! the pixels of the picture.
 //!
-//! Nothing here says how the work is done: threads, memory and input are those of a [`Session`](crate::Session).
+//! Nothing here says how the work is done: threads, memory and input are those of a
+//! [`Session`](crate::Session).
 
 pub use rayset_render::field::Kernel;
 #[cfg(feature = "internals")]

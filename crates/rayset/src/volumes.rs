@@ -1,5 +1,5 @@
-//! Readers of volumes: NRRD, MetaImage, NIfTI, OpenVDB, VTK's, OpenDX, SLC, arrays of NumPy, and raw files that contain
-//! nothing but voxels.
+//! Readers of volumes: NRRD, MetaImage, NIfTI, OpenVDB, VTK's, OpenDX, SLC, arrays of NumPy, and
+//! raw files that contain nothing but voxels.
 
 pub use rayset_files::grid::{ReadError, VolumeSource};
 pub use rayset_formats::volumes::{RawLayout, open};

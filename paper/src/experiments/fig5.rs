@@ -1,4 +1,5 @@
-//! Fig. 5: a small part of a dense scan at growing radius; what the index takes, the picture and its cost, for both engines.
+//! Fig. 5: a small part of a dense scan at growing radius; what the index takes, the picture and
+//! its cost, for both engines.
 
 use std::time::Instant;
 
@@ -13,7 +14,8 @@ use crate::index::Limits;
 use crate::predict::Variant;
 use crate::report::{Series, Table, megabytes, number, plot, sheet};
 
-/// The paper's radii; those of the scan are these times the distance that makes its points meet at 2.
+/// The paper's radii; those of the scan are these times the distance that makes its points meet
+/// at 2.
 const RADII: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 6.0];
 /// The paper's octrees of this figure have six levels.
 const HEIGHT: u32 = 6;

@@ -1,4 +1,5 @@
-//! Fig. 8: time over the size of the octree by memory, policy by policy, on the simulated disk of the paper's day.
+//! Fig. 8: time over the size of the octree by memory, policy by policy, on the simulated disk of
+//! the paper's day.
 
 use std::ops::Deref;
 
@@ -21,7 +22,8 @@ use crate::swap::{LastUses, OS_PAGE_BYTES, Swap};
 
 /// A run is stopped at so many times the time of the one that prefetches.
 const STOPPED_AT: f64 = 20.0;
-/// What is swapped in at a time: a page, what Linux brings in where nobody says otherwise, and as much as out of core.
+/// What is swapped in at a time: a page, what Linux brings in where nobody says otherwise, and as
+/// much as out of core.
 const SWAPPED_TOGETHER: [u64; 3] = [OS_PAGE_BYTES as u64, 8 * OS_PAGE_BYTES as u64, READ_AROUND_BYTES];
 
 pub(super) fn run(setting: &Setting) -> Result<()> {

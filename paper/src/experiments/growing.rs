@@ -21,8 +21,8 @@ pub(super) struct Size {
     pub(super) height: u32,
 }
 
-/// Octrees of 1 to 64 times the memory of the experiments, 32 MiB (at quick size 1 MiB): by the number of points, and then
-/// by the height.
+/// Octrees of 1 to 64 times the memory of the experiments, 32 MiB (at quick size 1 MiB): by the
+/// number of points, and then by the height.
 pub(super) fn sizes(setting: &Setting) -> Vec<Size> {
     let size = |(points, height)| Size { points, height };
     let quick = [(2_000, 4), (2_000, 5), (2_000, 6)];

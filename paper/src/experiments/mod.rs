@@ -232,7 +232,8 @@ impl Subject {
         timed(&self.scene, (&self.camera, &self.settings), &files, Arc::new(NoPredictor))
     }
 
-    /// The reference engine out of core on the simulated disk: picture, seconds of counted time, records.
+    /// The reference engine out of core on the simulated disk: picture, seconds of counted time,
+    /// records.
     pub(crate) fn simulated(&self, index: &Index, run: SimulatedRun) -> Result<(Picture, f64, OutOfCore)> {
         let clock = Clock::default();
         let disk = SimulatedDisk::open(&index.files(), clock.clone())?.with_file_cache(run.caching);
@@ -299,7 +300,8 @@ pub(crate) fn camera_on(bounds: Aabb) -> Camera {
     Camera::look_at(eye, bounds.center(), DVec3::Y, 35_f64.to_radians())
 }
 
-/// The picture of the engine that ships with so many bytes for pages, seconds on one thread, and what its working set did.
+/// The picture of the engine that ships with so many bytes for pages, seconds on one thread, and
+/// what its working set did.
 pub(crate) fn shipping(
     scene: &Scene,
     view: (&Camera, &RenderSettings),
@@ -344,8 +346,8 @@ pub(crate) fn same_picture_note(worst: f64) -> String {
     )
 }
 
-/// A budget in bytes, divided between nodes and points, with what caches take besides the records: points may have half, or
-/// less if they are fewer.
+/// A budget in bytes, divided between nodes and points, with what caches take besides the records:
+/// points may have half, or less if they are fewer.
 pub(crate) fn budget_of(bytes: u64, points: u64) -> Budget {
     use crate::cache::OVERHEAD_BYTES;
     use crate::record::{NODE_BYTES, POINT_BYTES};
@@ -357,8 +359,8 @@ pub(crate) fn budget_of(bytes: u64, points: u64) -> Budget {
 /// What the system's file cache reads together, where it reads around what is asked for.
 pub(crate) const READ_AROUND_BYTES: u64 = 64 << 10;
 
-/// Memory divided between records and the system's file cache, which has three quarters; where all points together exceed
-/// these, records have three quarters.
+/// Memory divided between records and the system's file cache, which has three quarters; where all
+/// points together exceed these, records have three quarters.
 pub(crate) fn divided(bytes: u64, points: u64) -> (Budget, FileCaching) {
     let quarter = bytes / 4;
     let not_points = points * crate::record::POINT_BYTES as u64 > 3 * quarter;

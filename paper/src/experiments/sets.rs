@@ -1,4 +1,5 @@
-//! Twenty objects under three lights, over some point sets that take turns, and the engine that ships on them.
+//! Twenty objects under three lights, over some point sets that take turns, and the engine that
+//! ships on them.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -27,7 +28,8 @@ pub struct SetsArgs {
     side: u32,
 }
 
-/// Renders twice, with nothing in memory and with all pages there, and says what the processor spent.
+/// Renders twice, with nothing in memory and with all pages there, and says what the processor
+/// spent.
 ///
 /// # Errors
 /// Whatever stopped it.

@@ -1,4 +1,5 @@
-//! Table 1: random points on a sphere; speed-up over brute force, space and the fullest leaf by height of the octree.
+//! Table 1: random points on a sphere; speed-up over brute force, space and the fullest leaf by
+//! height of the octree.
 
 use std::cell::RefCell;
 use std::time::Instant;
@@ -67,7 +68,8 @@ pub(super) fn run(setting: &Setting) -> Result<()> {
         let folder = setting.work.join(format!("table1-{points}"));
         std::fs::create_dir_all(&folder)?;
         let subject = Subject::build(workload.source(), Some(RADIUS), side, &folder.join("c.rset"))?;
-        // A part of the rays, spread over the picture, is enough for brute force, and the others do the same.
+        // A part of the rays, spread over the picture, is enough for brute force, and the others do
+        // the same.
         let stride = setting.pick(4, if points < 100_000 { 8 } else { 16 });
         let some = || all_pixels(&subject.settings).filter(move |(x, y)| x % stride == 0 && y % stride == 0);
         let part = f64::from(stride * stride);

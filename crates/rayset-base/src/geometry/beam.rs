@@ -3,8 +3,8 @@
 use super::{Aabb, DVec3, Ray};
 
 /// Bound of a set of rays: at distance t from its origin, each ray lies within the box from
-/// `origin_min + t·direction_min` to `origin_max + t·direction_max`. Unlike a bounding cone, it is valid for any set of
-/// rays.
+/// `origin_min + t·direction_min` to `origin_max + t·direction_max`. Unlike a bounding cone, it is
+/// valid for any set of rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beam {
     origin_min: DVec3,
@@ -36,12 +36,12 @@ impl Beam {
         (self.direction_max - self.direction_min).max_element()
     }
 
-    /// The interval of distances t ≥ 0 in which some ray may be inside a box, or `None` if no ray meets it.
-    /// Conservative.
+    /// The interval of distances t ≥ 0 in which some ray may be inside a box, or `None` if no ray
+    /// meets it. Conservative.
     #[must_use]
     pub fn span(&self, bounds: &Aabb) -> Option<(f64, f64)> {
-        // On each axis, neither face of the bound may have passed the opposite face of the box: one inequality
-        // a + b·t ≥ 0 for each face.
+        // On each axis, neither face of the bound may have passed the opposite face of the box: one
+        // inequality a + b·t ≥ 0 for each face.
         let (mut enter, mut exit) = (0.0_f64, f64::INFINITY);
         let mut require = |a: f64, b: f64| {
             if b > 0.0 {

@@ -2,8 +2,8 @@
 
 use super::{DAffine3, DVec3, Ray};
 
-/// An axis-aligned bounding box, in world space or in the local space of an object. Empty if `min` exceeds `max` on any
-/// axis.
+/// An axis-aligned bounding box, in world space or in the local space of an object. Empty if `min`
+/// exceeds `max` on any axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb {
     /// The corner with the smallest coordinates.
@@ -46,8 +46,8 @@ impl Aabb {
         Self { min: self.min.max(other.min), max: self.max.min(other.max) }
     }
 
-    /// A box that contains the image of this one under an affine map. If this one is infinite on any axis, the result
-    /// is infinite on all, unless the map is the identity.
+    /// A box that contains the image of this one under an affine map. If this one is infinite on
+    /// any axis, the result is infinite on all, unless the map is the identity.
     #[must_use]
     pub fn transformed(self, map: &DAffine3) -> Self {
         if *map == DAffine3::IDENTITY || self.is_empty() {
@@ -95,7 +95,8 @@ impl Aabb {
         other.is_empty() || (self.contains(other.min) && self.contains(other.max))
     }
 
-    /// The interval of `t` (clipped to `t ≥ 0`) in which the ray is inside the box, or `None` if it misses the box.
+    /// The interval of `t` (clipped to `t ≥ 0`) in which the ray is inside the box, or `None` if it
+    /// misses the box.
     #[doc(hidden)]
     #[must_use]
     pub fn clip(&self, ray: &Ray) -> Option<(f64, f64)> {

@@ -1,6 +1,7 @@
 //! Space-filling curves: Hilbert curves order the points of an octree and the tiles of a picture.
 
-/// Octree levels below the root that an index along the curve resolves; the index has `3 * MAX_LEVEL` bits.
+/// Octree levels below the root that an index along the curve resolves; the index has
+/// `3 * MAX_LEVEL` bits.
 pub const MAX_LEVEL: u32 = 20;
 
 /// Spreads the low 21 bits of `v`, inserting two zero bits after each.
@@ -18,8 +19,9 @@ fn morton(cell: [u32; 3]) -> u64 {
     spread(cell[0]) | spread(cell[1]) << 1 | spread(cell[2]) << 2
 }
 
-/// For each of 24 orientations of the curve within a cell (entry corner and direction) and each octant: the octant's
-/// rank along the curve in the low three bits, and the orientation within it above.
+/// For each of 24 orientations of the curve within a cell (entry corner and direction) and each
+/// octant: the octant's rank along the curve in the low three bits, and the orientation within it
+/// above.
 const TURNS: [[u8; 8]; 24] = turns();
 
 /// Computes [`TURNS`] from Gray codes (Hamilton, *Compact Hilbert Indices*, 2006, section 2).
@@ -53,8 +55,9 @@ const fn turns() -> [[u8; 8]; 24] {
     table
 }
 
-/// Index of a cell at [`MAX_LEVEL`] along a three-dimensional Hilbert curve. The first `3·l` bits are the index of the
-/// cell at level `l` that contains it, so the curve orders an octree as a Morton code does, but without jumps.
+/// Index of a cell at [`MAX_LEVEL`] along a three-dimensional Hilbert curve. The first `3·l` bits
+/// are the index of the cell at level `l` that contains it, so the curve orders an octree as a
+/// Morton code does, but without jumps.
 #[must_use]
 pub fn hilbert(cell: [u32; 3]) -> u64 {
     let interleaved = morton(cell);
@@ -67,7 +70,8 @@ pub fn hilbert(cell: [u32; 3]) -> u64 {
     place
 }
 
-/// Column and row of cell number `index` along a Hilbert curve over a square of `side` cells (a power of two).
+/// Column and row of cell number `index` along a Hilbert curve over a square of `side` cells (a
+/// power of two).
 #[must_use]
 pub fn hilbert_cell(side: u32, index: u64) -> (u32, u32) {
     let (mut x, mut y, mut rest) = (0_u32, 0_u32, index);
@@ -90,8 +94,8 @@ pub fn hilbert_cell(side: u32, index: u64) -> (u32, u32) {
     (x, y)
 }
 
-/// All cells of a `columns` × `rows` rectangle in the order of a Hilbert curve. A long rectangle is traversed square by
-/// square, so that the cost is proportional to its number of cells.
+/// All cells of a `columns` × `rows` rectangle in the order of a Hilbert curve. A long rectangle is
+/// traversed square by square, so that the cost is proportional to its number of cells.
 #[must_use]
 pub fn hilbert_order(columns: u32, rows: u32) -> Vec<(u32, u32)> {
     let mut order = Vec::with_capacity(columns as usize * rows as usize);

@@ -2,8 +2,8 @@
 
 use super::DVec3;
 
-/// A half-line. Unless stated otherwise it is in world space and `direction` has length one, so that `t` is a length in
-/// world space.
+/// A half-line. Unless stated otherwise it is in world space and `direction` has length one, so
+/// that `t` is a length in world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
     /// Origin of the ray.

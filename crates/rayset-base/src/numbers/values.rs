@@ -23,8 +23,8 @@ impl Stored {
         }
     }
 
-    /// Converts one number; `from` and `to` are little-endian. Infinities and NaN become 0. Returns false if a finite number
-    /// is out of the range of single precision.
+    /// Converts one number; `from` and `to` are little-endian. Infinities and NaN become 0. Returns
+    /// false if a finite number is out of the range of single precision.
     pub fn convert(self, from: &[u8], to: &mut [u8]) -> bool {
         let four = || [from[0], from[1], from[2], from[3]];
         let eight = || [from[0], from[1], from[2], from[3], from[4], from[5], from[6], from[7]];

@@ -1,5 +1,5 @@
-//! What is drawn over a picture: pieces, each a list of shapes within a box, which become pixels once and are laid over
-//! the picture row by row.
+//! What is drawn over a picture: pieces, each a list of shapes within a box, which become pixels
+//! once and are laid over the picture row by row.
 
 use zeno::{Cap, Command, Fill, Format, Join, Mask, Placement, Point, Stroke};
 
@@ -48,7 +48,8 @@ pub(super) struct Piece {
 }
 
 impl Piece {
-    /// A piece within the part of a box, given by its left upper and right lower corner, that lies in a picture.
+    /// A piece within the part of a box, given by its left upper and right lower corner, that lies
+    /// in a picture.
     pub(super) fn within(
         (left, top): (f32, f32),
         (right, bottom): (f32, f32),
@@ -168,7 +169,8 @@ impl Raster {
         Some(Self { left, top, width, pixels: pixels.to_vec() })
     }
 
-    /// Lays its row number `y` of the picture over pixels of straight alpha that begin at column `left`.
+    /// Lays its row number `y` of the picture over pixels of straight alpha that begin at column
+    /// `left`.
     pub(super) fn over(&self, y: u32, left: u32, rgba: &mut [u8]) {
         let Some(row) = y.checked_sub(self.top) else { return };
         let first = row as usize * self.width as usize;

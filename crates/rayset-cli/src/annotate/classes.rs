@@ -24,7 +24,8 @@ impl Class {
     }
 }
 
-/// The classes of a column that a sample of the points has, ascending, with their names; none if the sample cannot be read.
+/// The classes of a column that a sample of the points has, ascending, with their names; none if
+/// the sample cannot be read.
 pub(super) fn in_use(cloud: &Cloud, column: &str) -> Vec<Class> {
     let schema = cloud.sample_schema();
     let index = schema.columns.iter().position(|known| known.name == column);
@@ -43,8 +44,8 @@ pub(super) fn in_use(cloud: &Cloud, column: &str) -> Vec<Class> {
     .collect()
 }
 
-/// The labels of a grid's voxels that `shows`, ascending, with their names, and where voxels of a sample have them; of a label that
-/// the sample lacks nobody knows where it is.
+/// The labels of a grid's voxels that `shows`, ascending, with their names, and where voxels of a
+/// sample have them; of a label that the sample lacks nobody knows where it is.
 pub(super) fn labels(grid: &Grid, shows: impl Fn(f64) -> bool) -> Vec<Class> {
     let sample = grid.sample(SAMPLE_POINTS).ok();
     let places_of = |value: f64| {
@@ -70,8 +71,8 @@ pub(super) struct View<'a> {
 }
 
 impl View<'_> {
-    /// The cell of the picture, of so many each way, that a place is seen in, how far away it is, and how wide the cell is
-    /// there; `None` outside of the picture.
+    /// The cell of the picture, of so many each way, that a place is seen in, how far away it is,
+    /// and how wide the cell is there; `None` outside of the picture.
     fn cell(&self, place: DVec3, cells: f64) -> Option<([u32; 2], f64, f64)> {
         let forward = self.camera.direction.normalize_or_zero();
         let right = forward.cross(self.camera.up).normalize_or_zero();
@@ -90,14 +91,15 @@ impl View<'_> {
     }
 }
 
-/// The classes of which a camera sees points: within the picture, and not behind so many others of the sample that these hide
-/// them; and those of which nobody knows where they are.
+/// The classes of which a camera sees points: within the picture, and not behind so many others of
+/// the sample that these hide them; and those of which nobody knows where they are.
 pub(super) fn seen<'c>(classes: &'c [Class], view: &View<'_>) -> Vec<&'c Class> {
     /// Cells along each side of the picture.
     const CELLS: f64 = 48.0;
     /// Points in a cell of which those in front hide what is behind.
     const CLOSED: u32 = 6;
-    /// How far behind the first point of a cell what is still seen lies, in widths of the cell: surfaces are slanted.
+    /// How far behind the first point of a cell what is still seen lies, in widths of the cell:
+    /// surfaces are slanted.
     const SLANT: f64 = 4.0;
     let mut nearest: HashMap<[u32; 2], (f64, u32)> = HashMap::new();
     for (cell, depth, _) in classes.iter().flat_map(|class| cells_of(class, view, CELLS)) {

@@ -84,7 +84,8 @@ impl Shown {
         Self { map: map.clone(), title, classes: None }
     }
 
-    /// The bar, or the list of the classes that `view` sees, at the right of a picture; without a view, of all classes.
+    /// The bar, or the list of the classes that `view` sees, at the right of a picture; without a
+    /// view, of all classes.
     pub(super) fn piece(&self, layout: &Layout, view: Option<&View<'_>>) -> Piece {
         match (&self.classes, view) {
             (Some(classes), Some(view)) => self.list(&classes::seen(classes, view), layout),
@@ -141,8 +142,8 @@ impl Shown {
     }
 }
 
-/// The unit of the density of a snapshot whose weights are made of masses: that which the file states of densities, else a mass in a
-/// cube; empty of anything else.
+/// The unit of the density of a snapshot whose weights are made of masses: that which the file
+/// states of densities, else a mass in a cube; empty of anything else.
 fn unit_of_density(cloud: &Cloud) -> String {
     let header = cloud.header();
     if !header.sources.iter().any(|source| source.contains("weight = mass")) {
@@ -173,7 +174,8 @@ pub(super) fn color_at(map: &ColorMap, value: f64) -> Color {
     map.palette.display_color((value - low) / (high - low)).map(|v| (v * 255.0).round() as u8)
 }
 
-/// Whether a map is one over the logarithm: its stops stand for values that grow by the same factor from one to the next.
+/// Whether a map is one over the logarithm: its stops stand for values that grow by the same factor
+/// from one to the next.
 fn is_logarithmic(map: &ColorMap) -> bool {
     /// Fewer stops may be so by chance.
     const FEWEST: usize = 8;
@@ -213,7 +215,8 @@ impl<'m> Bar<'m> {
         let logarithmic = is_logarithmic(map);
         let (upper, lower) = layout.at_the_right();
         let room = layout.room_at_the_right(0.6);
-        // The number at the title, if there is one, may need a line more; ticks depend on the height.
+        // The number at the title, if there is one, may need a line more; ticks depend on the
+        // height.
         let above = layout.font.wrapped(&format!("{title} ×10⁻¹⁰"), em, room, TITLE_LINES).drop();
         let height = (0.46 * layout.height()).min(lower - upper - 3.0 * em - above).max(em).round();
         // Labels have room for themselves and as much again.

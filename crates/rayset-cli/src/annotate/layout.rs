@@ -16,8 +16,8 @@ pub(super) struct Layout {
     pub(super) margin: f32,
     /// Width of thin lines.
     pub(super) line: f32,
-    /// The colour of texts and lines. Around them lies a halo of the opposite brightness, so that they are read over
-    /// whatever the picture shows.
+    /// The colour of texts and lines. Around them lies a halo of the opposite brightness, so that
+    /// they are read over whatever the picture shows.
     pub(super) ink: Color,
     halo: Color,
     size: (u32, u32),
@@ -26,7 +26,8 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// For a picture of this size, before a background of this brightness as displayed; `None` if it is transparent.
+    /// For a picture of this size, before a background of this brightness as displayed; `None` if
+    /// it is transparent.
     pub(super) fn new(font: Font, size: (u32, u32), background: Option<f32>) -> Self {
         let em = em_of(size);
         // What is transparent is mostly laid on paper.
@@ -50,14 +51,16 @@ impl Layout {
         self.sheet.map_or(self.width() - self.margin, |sheet| (sheet.corner.0 + sheet.picture.0) as f32)
     }
 
-    /// Upper and lower end of what stands at the right: between the caption and the axes, if these are there.
+    /// Upper and lower end of what stands at the right: between the caption and the axes, if these
+    /// are there.
     pub(super) fn at_the_right(&self) -> (f32, f32) {
         self.sheet.map_or((0.0, self.height()), |sheet| {
             (sheet.corner.1 as f32, self.height() - self.margin - AXES_EMS * self.em)
         })
     }
 
-    /// The most that what stands at the right is wide: `part` of the picture, or the room beside it.
+    /// The most that what stands at the right is wide: `part` of the picture, or the room beside
+    /// it.
     pub(super) fn room_at_the_right(&self, part: f32) -> f32 {
         match self.sheet {
             Some(_) => (COLUMN_EMS - 1.0) * self.em - self.margin,

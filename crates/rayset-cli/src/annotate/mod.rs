@@ -1,7 +1,8 @@
 //! `--annotate`: a colour bar, a scale bar, the axes and a caption beside a picture, or over it.
 //!
-//! All that is drawn is laid out in pixels of the whole sheet that is written, becomes pixels of its own once, and is laid over the
-//! encoded rows as they come: bands, crops and budgets change nothing, and no picture is read again.
+//! All that is drawn is laid out in pixels of the whole sheet that is written, becomes pixels of
+//! its own once, and is laid over the encoded rows as they come: bands, crops and budgets change
+//! nothing, and no picture is read again.
 
 mod canvas;
 mod classes;
@@ -34,13 +35,15 @@ use crate::report;
 #[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Annotations (of PNG)")]
 pub(crate) struct AnnotateArgs {
-    /// Draw the colour map with its values, a scale, the axes and a caption beside the picture, which leaves them a margin
+    /// Draw the colour map with its values, a scale, the axes and a caption beside the picture,
+    /// which leaves them a margin
     #[arg(long)]
     pub(crate) annotate: bool,
     /// Draw them over the picture instead
     #[arg(long)]
     pub(crate) annotate_over: bool,
-    /// The caption; by default the name of the input, its size and its look. A line break is written \n
+    /// The caption; by default the name of the input, its size and its look. A line break is
+    /// written \n
     #[arg(long)]
     pub(crate) caption: Option<String>,
 }
@@ -56,8 +59,8 @@ impl AnnotateArgs {
         self.caption.as_ref().map(|text| text.split("\\n").map(str::to_owned).collect())
     }
 
-    /// The sheet of `size` on which a picture leaves room for its annotations; `None` if nothing is drawn, or over the
-    /// picture.
+    /// The sheet of `size` on which a picture leaves room for its annotations; `None` if nothing is
+    /// drawn, or over the picture.
     pub(crate) fn sheet(&self, size: (u32, u32)) -> Option<Sheet> {
         if self.annotate_over || !self.annotate {
             return None;
@@ -73,7 +76,8 @@ impl AnnotateArgs {
     }
 }
 
-/// What the program needs for drawing besides pixels: outlines, and pages of the typeface and of code that are read in.
+/// What the program needs for drawing besides pixels: outlines, and pages of the typeface and of
+/// code that are read in.
 const DRAWING_BYTES: u64 = 1536 << 10;
 
 /// What is drawn over every picture of a scene.
@@ -90,7 +94,8 @@ pub(crate) struct Annotations {
 }
 
 impl Annotations {
-    /// For pictures of `size` of a scene, or with a place on `sheet`. `name` is that of the input, `look` the one that was chosen for it.
+    /// For pictures of `size` of a scene, or with a place on `sheet`. `name` is that of the input,
+    /// `look` the one that was chosen for it.
     pub(crate) fn new(
         args: &AnnotateArgs,
         scene: &Scene,
@@ -210,7 +215,8 @@ impl Overlay {
         Some(Self { rasters })
     }
 
-    /// Lays row `y` of the picture over encoded pixels (RGBA, straight alpha) that begin at column `left`.
+    /// Lays row `y` of the picture over encoded pixels (RGBA, straight alpha) that begin at column
+    /// `left`.
     pub(crate) fn over(&self, y: u32, left: u32, rgba: &mut [u8]) {
         self.rasters.iter().for_each(|raster| raster.over(y, left, rgba));
     }

@@ -19,8 +19,8 @@ pub(super) struct Scale {
 }
 
 impl Scale {
-    /// A round length at the depth of `center`, in a picture of `size`; `None` if the centre does not lie in front of the
-    /// eye.
+    /// A round length at the depth of `center`, in a picture of `size`; `None` if the centre does
+    /// not lie in front of the eye.
     pub(super) fn new(camera: &Camera, center: DVec3, size: (u32, u32)) -> Option<Self> {
         let (width, height) = (f64::from(size.0), f64::from(size.1));
         let shown = match camera.projection {

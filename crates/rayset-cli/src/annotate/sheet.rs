@@ -1,4 +1,5 @@
-//! The sheet that a picture and its annotations share: the picture has a place of its own on it, and what is drawn lies beside it.
+//! The sheet that a picture and its annotations share: the picture has a place of its own on it,
+//! and what is drawn lies beside it.
 
 use rayset::Region;
 
@@ -12,7 +13,8 @@ pub(super) const AXES_REACH_EMS: f32 = 4.5;
 pub(super) const AXES_EMS: f32 = 1.85 * AXES_REACH_EMS;
 /// Width of the column beside a picture that has the axes in it, in ems.
 pub(super) const COLUMN_EMS: f32 = 2.0 * AXES_REACH_EMS + 2.0;
-/// The least part of the sheet's width and height that is left to the picture; on smaller sheets annotations lie over it.
+/// The least part of the sheet's width and height that is left to the picture; on smaller sheets
+/// annotations lie over it.
 const LEAST: f32 = 0.5;
 
 /// Most pixels along a side.
@@ -35,7 +37,8 @@ pub(crate) struct Sheet {
 }
 
 impl Sheet {
-    /// A sheet of `size` with a caption of so many lines; `None` if it is too small for anything beside the picture.
+    /// A sheet of `size` with a caption of so many lines; `None` if it is too small for anything
+    /// beside the picture.
     pub(crate) fn new(size: (u32, u32), caption_lines: usize) -> Option<Self> {
         let em = em_of(size);
         let margin = (1.2 * em).round();

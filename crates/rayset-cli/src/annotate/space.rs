@@ -45,7 +45,8 @@ impl Space {
     }
 }
 
-/// The unit of lengths of a cloud without a known reference system, by what its sources say and where it lies.
+/// The unit of lengths of a cloud without a known reference system, by what its sources say and
+/// where it lies.
 pub(crate) fn of_header(header: &Header) -> Option<&'static str> {
     /// Distances from the middle of the Earth of what lies on it, in metres.
     const EARTH: std::ops::Range<f64> = 6.33e6..6.40e6;
@@ -77,7 +78,8 @@ pub(crate) fn of_reference_system(text: &str) -> Option<Space> {
     (geographic && !geocentric).then_some(Space { unit: None, y_is_north: true })
 }
 
-/// The unit of the horizontal axes of a projected system: the last in it that is no angle, before the vertical system.
+/// The unit of the horizontal axes of a projected system: the last in it that is no angle, before
+/// the vertical system.
 fn unit_of_lengths(upper: &str) -> Option<&'static str> {
     let horizontal = upper.split("VERT_CS[").next()?.split("VERTCRS[").next()?;
     let units = horizontal.match_indices("UNIT[\"").map(|(at, word)| &horizontal[at + word.len()..]);

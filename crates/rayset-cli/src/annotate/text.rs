@@ -51,7 +51,8 @@ impl Font {
         text.chars().map(|c| self.advance(self.glyph(c))).sum::<f32>() * self.scale(em)
     }
 
-    /// The beginning of a line that is at most `width` wide, with an ellipsis if anything is left out.
+    /// The beginning of a line that is at most `width` wide, with an ellipsis if anything is left
+    /// out.
     pub(super) fn shortened(&self, text: &str, em: f32, width: f32) -> String {
         if self.width(text, em) <= width {
             return text.to_owned();
@@ -68,8 +69,8 @@ impl Font {
         format!("{}…", kept.trim_end())
     }
 
-    /// Both ends of a line that is at most `width` wide, with an ellipsis in between if anything is left out: of names that are
-    /// alike, the ends tell which is which.
+    /// Both ends of a line that is at most `width` wide, with an ellipsis in between if anything is
+    /// left out: of names that are alike, the ends tell which is which.
     pub(super) fn shortened_within(&self, text: &str, em: f32, width: f32) -> String {
         if self.width(text, em) <= width {
             return text.to_owned();
@@ -84,8 +85,8 @@ impl Font {
         (1..=letters.len()).map(without).find(fits).unwrap_or_default()
     }
 
-    /// A text in at most `most` lines that are at most `width` wide: in the size of an em if it fits, otherwise in smaller ones. What
-    /// does not fit even so is left out, with an ellipsis.
+    /// A text in at most `most` lines that are at most `width` wide: in the size of an em if it
+    /// fits, otherwise in smaller ones. What does not fit even so is left out, with an ellipsis.
     pub(super) fn wrapped(&self, text: &str, em: f32, width: f32, most: usize) -> Wrapped {
         let sizes = [1.0, 0.9, 0.8].map(|part| part * em);
         let whole = sizes.iter().map(|&em| (em, self.broken(text, em, width)));
@@ -101,7 +102,8 @@ impl Font {
         Wrapped { em, lines: kept.iter().map(|line| (*line).to_owned()).chain([last]).collect() }
     }
 
-    /// The lines of a text that are at most `width` wide, or one letter: broken between words where that is possible.
+    /// The lines of a text that are at most `width` wide, or one letter: broken between words where
+    /// that is possible.
     fn broken<'t>(&self, text: &'t str, em: f32, width: f32) -> Vec<&'t str> {
         let mut lines = Vec::new();
         let mut rest = text.trim();

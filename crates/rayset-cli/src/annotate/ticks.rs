@@ -47,7 +47,8 @@ pub(super) fn linear(low: f64, high: f64, wanted: f64) -> Ticks {
     Ticks { ticks, power }
 }
 
-/// Round numbers from `low` to `high`, both positive, about `wanted` of them, evenly spaced in the logarithm.
+/// Round numbers from `low` to `high`, both positive, about `wanted` of them, evenly spaced in the
+/// logarithm.
 pub(super) fn logarithmic(low: f64, high: f64, wanted: f64) -> Ticks {
     let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);
     let decades = (high / low).log10();

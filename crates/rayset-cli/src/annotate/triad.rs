@@ -13,7 +13,8 @@ const COLORS: [Color; 3] = [[222, 72, 64], [70, 166, 70], [66, 128, 226]];
 /// Ems from the middle to the tip of an axis across the view.
 const ARM: f32 = 2.6;
 
-/// The axes, at the left below, or at the right beside the picture: those that point away from the eye are drawn first. The box is the same for every camera.
+/// The axes, at the left below, or at the right beside the picture: those that point away from the
+/// eye are drawn first. The box is the same for every camera.
 pub(super) fn piece(camera: &Camera, space: Space, layout: &Layout) -> Piece {
     let em = layout.em;
     let reach = AXES_REACH_EMS * em;

@@ -6,8 +6,8 @@ use clap::Args;
 
 use rayset_inputs::values;
 
-/// Join the parts of a picture, which `render --part` wrote, or of a cloud, which `build --part` made, to the very file that one
-/// `render` or `build` writes.
+/// Join the parts of a picture, which `render --part` wrote, or of a cloud, which `build --part`
+/// made, to the very file that one `render` or `build` writes.
 ///
 /// All parts have to be there, once, and of one picture or cloud; the input need not.
 #[derive(Args)]

@@ -41,7 +41,8 @@ pub(super) fn run(job: &Merge<'_>) -> Result<()> {
     build::present(job.output, &merged, job.json)
 }
 
-/// Refuses an output among the parts: they are read for it, and the folder is removed once it is whole.
+/// Refuses an output among the parts: they are read for it, and the folder is removed once it is
+/// whole.
 fn refuse_within(output: &Destination, folder: &Path) -> Result<()> {
     let doing = || format!("cannot look at {}", folder.display());
     let within = folder.canonicalize().with_context(doing)?;

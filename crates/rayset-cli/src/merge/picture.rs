@@ -44,7 +44,8 @@ pub(super) fn run(args: &MergeArgs) -> Result<()> {
     Ok(())
 }
 
-/// The library is given the budget less the memory of the process itself; its error must state the whole budget.
+/// The library is given the budget less the memory of the process itself; its error must state the
+/// whole budget.
 fn name_smallest_budget(error: PartError, budget: Budget) -> anyhow::Error {
     match error {
         PartError::Memory { needed, .. } => {

@@ -16,24 +16,28 @@ use rayset_inputs::values::{self, Frames};
 
 /// Render a scene, a cloud, a grid, or any file of points or voxels to a picture.
 ///
-/// Points and voxels that have not been built are built first, into a cache. The picture depends on the input and on the options under "Picture", "Look" and "Camera"; those under "Work" never
+/// Points and voxels that have not been built are built first, into a cache. The picture depends on
+/// the input and on the options under "Picture", "Look" and "Camera"; those under "Work" never
 /// change a pixel.
 #[derive(Args, Clone)]
 pub(crate) struct RenderArgs {
-    /// Scene file (.json), cloud or grid file, one volume, or files of points: several, folders and patterns make one cloud
+    /// Scene file (.json), cloud or grid file, one volume, or files of points: several, folders and
+    /// patterns make one cloud
     #[arg(required = true)]
     pub(super) inputs: Vec<PathBuf>,
-    /// Picture to write: PNG, or OpenEXR (.exr) in linear light with layers: depth, normal, albedo, opacity, instanceId,
-    /// samples, bytes. With --part, the part
+    /// Picture to write: PNG, or OpenEXR (.exr) in linear light with layers: depth, normal, albedo,
+    /// opacity, instanceId, samples, bytes. With --part, the part
     #[arg(short, long)]
     pub(super) output: PathBuf,
     /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(super) turntable: Option<u32>,
-    /// Pictures along the camera's path in the scene, or of the turntable: `all`, one, or FIRST..LAST; OUTPUT gets numbers
+    /// Pictures along the camera's path in the scene, or of the turntable: `all`, one, or
+    /// FIRST..LAST; OUTPUT gets numbers
     #[arg(long, value_parser = values::frames)]
     pub(super) frames: Option<Frames>,
-    /// Render only this part of the picture, as 3/8: the third of eight. `rayset merge` joins all of them
+    /// Render only this part of the picture, as 3/8: the third of eight. `rayset merge` joins all
+    /// of them
     #[arg(long, value_name = "PART/OF")]
     pub(super) part: Option<Share>,
     /// Parts for OpenEXR: with all layers
@@ -57,7 +61,8 @@ pub(crate) struct RenderArgs {
     pub(super) stats: Option<PathBuf>,
 }
 
-/// The options of a render with default values but a transparent background, for commands that render as part of their work.
+/// The options of a render with default values but a transparent background, for commands that
+/// render as part of their work.
 pub(crate) fn defaults(cloud: &Path, output: &Path) -> Result<RenderArgs> {
     #[derive(clap::Parser)]
     struct Wrapper {

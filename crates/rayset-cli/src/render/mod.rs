@@ -69,8 +69,9 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     Ok(())
 }
 
-/// The scene ready to be rendered, with what renders it. How much its caps take may be known only once they are counted; then
-/// all begins again with the right division of the memory, or its least is said.
+/// The scene ready to be rendered, with what renders it. How much its caps take may be known only
+/// once they are counted; then all begins again with the right division of the memory, or its least
+/// is said.
 fn prepared(
     args: &RenderArgs,
     shot: &Shot,

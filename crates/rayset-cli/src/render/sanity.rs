@@ -1,5 +1,5 @@
-//! What a finished picture itself says is wrong with it: nothing is seen, all is black or white, or every ray ends where it
-//! begins. Each remark names an option that helps.
+//! What a finished picture itself says is wrong with it: nothing is seen, all is black or white, or
+//! every ray ends where it begins. Each remark names an option that helps.
 
 use rayset::RenderCounts;
 use rayset::image::{Band, DisplayTransform};

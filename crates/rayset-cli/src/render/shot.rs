@@ -128,7 +128,8 @@ impl Shot {
         Annotations::new(&args.annotate, scene, size, self.sheet, display, &name, self.look).map(Some)
     }
 
-    /// Width and height of what is written: of the picture, or of the sheet that it has its place on.
+    /// Width and height of what is written: of the picture, or of the sheet that it has its place
+    /// on.
     pub(super) fn whole(&self) -> (u32, u32) {
         self.sheet.map_or((self.settings.width, self.settings.height), |sheet| sheet.size)
     }

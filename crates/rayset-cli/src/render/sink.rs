@@ -135,8 +135,8 @@ impl PictureSink {
 }
 
 impl Margin {
-    /// Writes the rows of the sheet that a band has pixels of; with the first band those above the picture, with the last
-    /// those below it.
+    /// Writes the rows of the sheet that a band has pixels of; with the first band those above the
+    /// picture, with the last those below it.
     fn rows_of<E>(&mut self, band: &Band, mut write: impl FnMut(&Band) -> Result<(), E>) -> Result<(), E> {
         let Mount { origin, size, place, background } = self.mount;
         let top = origin.1 + place.1;

@@ -6,8 +6,8 @@ use rayset::scene::{Camera, Projection, RenderSettings};
 
 use crate::report;
 
-/// Points smaller than a pixel are missed by most rays. `framed` is about the middle of those in the picture: the middle of the
-/// bounds may be far away.
+/// Points smaller than a pixel are missed by most rays. `framed` is about the middle of those in
+/// the picture: the middle of the bounds may be far away.
 pub(super) fn of_small_radii(
     header: &Header,
     framed: Option<DVec3>,

@@ -21,7 +21,8 @@ pub(super) const DEFAULT_MEMORY: u64 = 256 << 20;
 #[derive(Args, Clone)]
 #[command(next_help_heading = "Work")]
 pub(crate) struct WorkArgs {
-    /// Memory for the whole process. By default what the cloud was built with (--render-memory), else 256MiB
+    /// Memory for the whole process. By default what the cloud was built with (--render-memory),
+    /// else 256MiB
     #[arg(long, value_parser = values::size)]
     pub(crate) memory: Option<u64>,
     /// Threads; as many as there are processors by default

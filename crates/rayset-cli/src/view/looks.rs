@@ -1,4 +1,5 @@
-//! What a page of the viewer can make of a cloud or grid: the options of `rayset render`, by the same code.
+//! What a page of the viewer can make of a cloud or grid: the options of `rayset render`, by the
+//! same code.
 
 use std::path::{Path, PathBuf};
 

@@ -35,7 +35,8 @@ use rayset_inputs::values;
 
 /// Memory for the whole process if nothing else is said.
 const DEFAULT_MEMORY: u64 = 256 << 20;
-/// Memory of the server, besides the pictures of pages: connections, a sample of the points, scenes as text.
+/// Memory of the server, besides the pictures of pages: connections, a sample of the points, scenes
+/// as text.
 const SERVER_BYTES: u64 = 8 << 20;
 /// The least and the most for pictures of pages, which may otherwise take a quarter of the memory.
 const PICTURE_BYTES: std::ops::RangeInclusive<u64> = 16 << 20..=256 << 20;
@@ -46,11 +47,12 @@ const LEAST_SESSION_BYTES: u64 = 8 << 20;
 
 /// Look around in a scene, a cloud, a grid, or any file of points or voxels, in a browser.
 ///
-/// The program serves a page on this machine, traces what it looks at within --memory, and ends on Ctrl-C. Without a file it
-/// makes a cloud to look at.
+/// The program serves a page on this machine, traces what it looks at within --memory, and ends on
+/// Ctrl-C. Without a file it makes a cloud to look at.
 #[derive(Args)]
 pub(crate) struct ViewArgs {
-    /// Scene file (.json), cloud or grid file, one volume, or files of points: several, folders and patterns make one cloud
+    /// Scene file (.json), cloud or grid file, one volume, or files of points: several, folders and
+    /// patterns make one cloud
     inputs: Vec<PathBuf>,
     /// Memory for the whole process
     #[arg(long, value_parser = values::size, default_value = "256MiB")]
@@ -61,17 +63,20 @@ pub(crate) struct ViewArgs {
     /// Port; 0 for any that is free
     #[arg(long, default_value_t = 0)]
     port: u16,
-    /// Address to listen on. Beyond this machine, as with 0.0.0.0, whoever knows the password sees the pictures and steers, and the line
-    /// is not encrypted: `ssh -L`, or a proxy with TLS in front, is safer
+    /// Address to listen on. Beyond this machine, as with 0.0.0.0, whoever knows the password sees
+    /// the pictures and steers, and the line is not encrypted: `ssh -L`, or a proxy with TLS in
+    /// front, is safer
     #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     listen: IpAddr,
-    /// File whose first line is the password that lets in whoever comes without a token; at least 8 characters
+    /// File whose first line is the password that lets in whoever comes without a token; at least 8
+    /// characters
     #[arg(long, value_name = "FILE")]
     password_file: Option<PathBuf>,
     /// Only print the address
     #[arg(long)]
     no_open: bool,
-    /// A name, with or without a port, under which a proxy in front may be reached; may be given several times
+    /// A name, with or without a port, under which a proxy in front may be reached; may be given
+    /// several times
     #[arg(long, value_name = "NAME")]
     allow_host: Vec<String>,
     #[command(flatten)]
@@ -127,7 +132,8 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     }
 }
 
-/// How people get in. It opens once: when it is clear that there is something to see, or that it will take a while.
+/// How people get in. It opens once: when it is clear that there is something to see, or that it
+/// will take a while.
 struct Door {
     once: Once,
     invitation: String,
@@ -233,7 +239,8 @@ fn made_cloud(memory: u64, told: &dyn Fn(&str, u64, u64)) -> Result<(TemporaryFo
     Ok((folder, cloud))
 }
 
-/// Whether lines of the terminal are for this program. One in the background that asked for them would be stopped.
+/// Whether lines of the terminal are for this program. One in the background that asked for them
+/// would be stopped.
 fn hears_the_terminal() -> bool {
     let stdin = std::io::stdin();
     #[cfg(unix)]

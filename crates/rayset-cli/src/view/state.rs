@@ -1,4 +1,5 @@
-//! What the viewer keeps in the user's state folder: the key of its cookies, and the page that leads a browser to it.
+//! What the viewer keeps in the user's state folder: the key of its cookies, and the page that
+//! leads a browser to it.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -8,8 +9,8 @@ use rayset_view::{SECRET_BYTES, secret};
 
 use crate::report::remark;
 
-/// The key that cookies are signed with, kept in the user's state folder so that pages connect again after a restart; one for this
-/// run alone if there is no such folder.
+/// The key that cookies are signed with, kept in the user's state folder so that pages connect
+/// again after a restart; one for this run alone if there is no such folder.
 pub(super) fn key() -> [u8; SECRET_BYTES] {
     match kept_key() {
         Ok(key) => key,
@@ -43,7 +44,8 @@ fn folder() -> Result<PathBuf> {
     Ok(folder)
 }
 
-/// Writes a file that nobody else can read. It has its name only when it is whole, so that no other run reads half of it.
+/// Writes a file that nobody else can read. It has its name only when it is whole, so that no other
+/// run reads half of it.
 fn write_private(path: &Path, bytes: &[u8]) -> Result<()> {
     let beside = path.with_extension(std::process::id().to_string());
     let mut options = std::fs::File::options();
@@ -67,8 +69,8 @@ fn is_private(path: &Path) -> bool {
     path.exists()
 }
 
-/// Opens the user's browser, if there is one. What is handed over is a file that only the user can read, which leads to the address:
-/// others on the machine see the arguments of programs.
+/// Opens the user's browser, if there is one. What is handed over is a file that only the user can
+/// read, which leads to the address: others on the machine see the arguments of programs.
 pub(super) fn open_browser(address: &str) {
     let page = format!(
         "<!doctype html><meta charset=utf-8><meta http-equiv=refresh content=\"0; url={address}\">\

@@ -85,7 +85,8 @@ fn bands_crops_and_budgets_do_not_change_what_is_drawn() {
     let least = rest.split(' ').next().expect("a number");
     succeeds(f, &[&drawn[..], &["-o", "least.png", "--memory", least, "--stats", "s.json"]].concat());
     assert!(fs::read(f.join("whole.png")).ok() == fs::read(f.join("least.png")).ok(), "the pictures differ");
-    // Drawing takes memory, which the budget counts: the process grows by no more than the smallest budget does.
+    // Drawing takes memory, which the budget counts: the process grows by no more than the smallest
+    // budget does.
     let plain = [&HEIGHT[..], &["-o", "x.png", "--threads", "1"]].concat();
     let said = rayset(f, &[&plain[..], &["--memory", "1MiB"]].concat()).expect_err("too little");
     let (_, rest) = said.split_once("the smallest that would do is ").expect("it says how much");
@@ -156,7 +157,8 @@ fn annotations_have_a_margin_of_their_own_beside_the_picture() {
     succeeds(f, &[&plain[..], &["-o", "drawn.png", "--annotate"]].concat());
     let (width, drawn) = picture(&f.join("drawn.png"));
     assert_eq!((width, drawn.len()), (320, 320 * 260), "the sheet has the size that was asked for");
-    // The picture is the largest opaque rectangle: its edges are where whole rows and columns begin and end.
+    // The picture is the largest opaque rectangle: its edges are where whole rows and columns begin
+    // and end.
     let is_full = |x: usize, y: usize| drawn[y * width + x][3] > 240;
     let middle = (110, 120);
     let left = (0..middle.0).rev().find(|&x| !is_full(x, middle.1)).expect("a margin") + 1;
@@ -164,7 +166,8 @@ fn annotations_have_a_margin_of_their_own_beside_the_picture() {
     let top = (0..middle.1).rev().find(|&y| !is_full(middle.0, y)).expect("a margin") + 1;
     let bottom = (middle.1..260).find(|&y| !is_full(middle.0, y)).expect("a margin");
     assert!(right - left > 150 && bottom - top > 120, "{left} {right} {top} {bottom}");
-    // What is in it is what the camera sees in a picture of that size, and nothing is drawn over it.
+    // What is in it is what the camera sees in a picture of that size, and nothing is drawn over
+    // it.
     let size = format!("{}x{}", right - left, bottom - top);
     let at = plain.iter().position(|word| *word == "320x260").expect("a size");
     let mut same = plain.clone();

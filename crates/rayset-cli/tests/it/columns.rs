@@ -1,4 +1,5 @@
-//! What becomes of the columns of an input: radius, weight, colour; and of numbers that cannot be stored.
+//! What becomes of the columns of an input: radius, weight, colour; and of numbers that cannot be
+//! stored.
 
 use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildError, BuildOptions, InvalidPolicy, Quantity, Rule};

@@ -1,5 +1,6 @@
-//! Every file operation of a small run fails once, in each way that it can: the run ends with one line that says why, or
-//! well; what has the name of the output is the old file or the new one, whole; and nothing else is left.
+//! Every file operation of a small run fails once, in each way that it can: the run ends with one
+//! line that says why, or well; what has the name of the output is the old file or the new one,
+//! whole; and nothing else is left.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -238,8 +239,8 @@ fn a_run_killed_at_any_file_operation_leaves_the_old_output_or_the_new_one_and_t
     }
 }
 
-/// Files of every kind that is read besides PLY and plain voxels. Of a snapshot in several files, all are there; volumes that
-/// are packed are unpacked first.
+/// Files of every kind that is read besides PLY and plain voxels. Of a snapshot in several files,
+/// all are there; volumes that are packed are unpacked first.
 const INPUTS: [&str; 33] = [
     "two_scans.e57",
     "ascii_uint32.pcd",

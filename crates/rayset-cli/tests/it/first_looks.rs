@@ -1,4 +1,5 @@
-//! What is seen at first: which way up a thing stands, from which side it is seen, what it is coloured by, and how bright.
+//! What is seen at first: which way up a thing stands, from which side it is seen, what it is
+//! coloured by, and how bright.
 
 use std::fs;
 use std::path::Path;
@@ -144,7 +145,8 @@ fn the_relief_of_a_head_is_no_terrain_and_faces_the_reader() {
     assert!(found["look"] == "height" && found["up"] == "z", "{} {}", found["look"], found["up"]);
 }
 
-/// Points of a scan as PCD: a wavy floor, with what `of` makes of a point's number as its other column.
+/// Points of a scan as PCD: a wavy floor, with what `of` makes of a point's number as its other
+/// column.
 fn scan(path: &Path, column: &str, of: &dyn Fn(u32) -> f64) {
     let mut text = format!("VERSION .7\nFIELDS x y z {column}\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n");
     text += "WIDTH 6400\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 6400\nDATA ascii\n";
@@ -209,7 +211,8 @@ fn dark_scans_are_seen_although_a_few_of_their_points_are_bright() {
     assert!(of_intensities > 60, "intensities: {of_intensities}");
 }
 
-/// Places in Earth-centred coordinates of a tilted town at 47° north, 8° east: of offsets to the east, the north and upward.
+/// Places in Earth-centred coordinates of a tilted town at 47° north, 8° east: of offsets to the
+/// east, the north and upward.
 fn on_earth(offsets: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let (latitude, longitude) = (47_f64.to_radians(), 8_f64.to_radians());
     let ((a, b), (c, d)) = (latitude.sin_cos(), longitude.sin_cos());

@@ -13,7 +13,8 @@ fn info(folder: &Path, locale: &str, arguments: &[&str]) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// Points on a plate whose column `count` has few whole numbers, and `energy` eight orders of magnitude.
+/// Points on a plate whose column `count` has few whole numbers, and `energy` eight orders of
+/// magnitude.
 fn plate(folder: &Path) {
     let mut text = "x y z count energy\n".to_owned();
     for i in 0..1600_i32 {

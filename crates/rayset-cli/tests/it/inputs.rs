@@ -1,4 +1,5 @@
-//! How inputs are opened: from the standard input, of a series of volumes, and with a line about their columns.
+//! How inputs are opened: from the standard input, of a series of volumes, and with a line about
+//! their columns.
 
 use std::io::Write;
 use std::path::Path;
@@ -6,7 +7,8 @@ use std::process::Stdio;
 
 use crate::common::{folder, program};
 
-/// Runs the program in a folder, with these bytes as its standard input. Whether it ends well, and all that it says.
+/// Runs the program in a folder, with these bytes as its standard input. Whether it ends well, and
+/// all that it says.
 fn run(folder: &Path, arguments: &[&str], input: &[u8]) -> (bool, String) {
     let mut child = program()
         .current_dir(folder)

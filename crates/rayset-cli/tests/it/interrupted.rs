@@ -41,8 +41,8 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Kills a run at random moments, until `wanted` runs were ended in the middle, however fast the machine is. `begin` is told the
-/// number of the round; `look` looks at what is left.
+/// Kills a run at random moments, until `wanted` runs were ended in the middle, however fast the
+/// machine is. `begin` is told the number of the round; `look` looks at what is left.
 fn kill_at_random(
     (seed, wanted): (u64, usize),
     whole: Duration,
@@ -91,7 +91,8 @@ fn a_build_killed_at_any_moment_leaves_no_file_that_opens_and_the_next_one_clean
     };
     let look = |round| {
         if path.exists() {
-            // Either the build had ended, or this is the file of an earlier one: whole in both cases.
+            // Either the build had ended, or this is the file of an earlier one: whole in both
+            // cases.
             assert!(std::fs::read(&path).expect("the cloud reads") == reference, "round {round}");
         } else {
             assert!(!had_file.get(), "round {round}: the earlier file is gone");

@@ -1,5 +1,5 @@
-//! The cache: what is used again is what would be built anew, what is not the cache's own is safe from it, and where nothing can
-//! be kept everything else goes on.
+//! The cache: what is used again is what would be built anew, what is not the cache's own is safe
+//! from it, and where nothing can be kept everything else goes on.
 
 #![cfg(unix)]
 

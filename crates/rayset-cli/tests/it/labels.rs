@@ -1,4 +1,5 @@
-//! Label maps as programs write them: a colour for each label, names and colours of the file, a legend.
+//! Label maps as programs write them: a colour for each label, names and colours of the file, a
+//! legend.
 
 use std::collections::HashMap;
 use std::fs;
@@ -17,7 +18,8 @@ fn rayset(folder: &Path, arguments: &[&str]) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// How many pixels of a picture have each colour; those that are transparent or of an edge have none.
+/// How many pixels of a picture have each colour; those that are transparent or of an edge have
+/// none.
 fn colors(path: &Path) -> HashMap<[u8; 3], usize> {
     let reader = std::io::BufReader::new(fs::File::open(path).expect("the picture"));
     let mut reader = png::Decoder::new(reader).read_info().expect("a PNG");

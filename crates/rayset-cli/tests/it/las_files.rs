@@ -1,5 +1,5 @@
-//! LAS and LAZ: every format and method gives the same numbers, claims of damaged files cost nothing, and memory does
-//! not grow with what is around the points.
+//! LAS and LAZ: every format and method gives the same numbers, claims of damaged files cost
+//! nothing, and memory does not grow with what is around the points.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -263,7 +263,8 @@ fn the_reference_system_and_the_origin_are_in_the_schema_without_control_charact
     let schema = open(&file);
     assert_eq!(schema.crs, "EPSG:26910");
     assert_eq!(schema.description, "LAS 1.3, point format 3, test system, rayset tests");
-    // WKT in an extended record, behind one that nobody needs; the header says which of both counts.
+    // WKT in an extended record, behind one that nobody needs; the header says which of both
+    // counts.
     let wkt = "PROJCS[\"here\"]";
     (file.minor, file.global_encoding) = (4, 16);
     file.extended =
@@ -282,7 +283,8 @@ fn counts_follow_the_specification_and_claims_beyond_the_file_are_refused_at_onc
     file.minor = 4;
     let bytes = file.las();
     let count = |bytes: &[u8]| read(&write(folder.path(), "a.las", bytes), None).map(|r| r.0.len());
-    // Both counts; only the 64-bit one; only the legacy one; and both, of which the legacy one goes first.
+    // Both counts; only the 64-bit one; only the legacy one; and both, of which the legacy one goes
+    // first.
     for (legacy, wide, expected) in [(100, 100, 100), (0, 100, 100), (100, 0, 100), (50, 100, 50), (0, 0, 0)]
     {
         let mut changed = bytes.clone();
@@ -312,7 +314,8 @@ fn a_truncated_laz_file_says_the_byte_and_how_many_points_were_read() {
         let cut = &whole[..start + (whole.len() - start) * 2 / 3];
         let complaint = complaint(&write(folder.path(), "a.laz", cut));
         assert!(complaint.contains("byte ") && complaint.contains("cut off"), "{complaint}");
-        // Layered chunks are measured when the file is opened, the others are decoded to where they end.
+        // Layered chunks are measured when the file is opened, the others are decoded to where they
+        // end.
         if format == 3 {
             let words: Vec<&str> = complaint.split([' ', ';']).collect();
             let of = words.windows(3).find(|w| w[1] == "of" && w[2] == "3000").expect("how many of how many");

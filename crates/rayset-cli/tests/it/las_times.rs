@@ -1,5 +1,5 @@
-//! GPS times of LAZ files: whatever they are, they come back to the bit, and data that would have a decoder recurse
-//! without end are an error.
+//! GPS times of LAZ files: whatever they are, they come back to the bit, and data that would have a
+//! decoder recurse without end are an error.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -48,7 +48,8 @@ fn hostile_pointwise() -> Vec<u8> {
     bytes
 }
 
-/// The same in layers: of a chunk of a good file, the last layer is replaced, which is that of the times.
+/// The same in layers: of a chunk of a good file, the last layer is replaced, which is that of the
+/// times.
 fn hostile_layered() -> Vec<u8> {
     let mut bytes = LasFile::random(6, 2, 0, 5).laz(Chunks::NoTable(2));
     let mut layer = ArithmeticEncoder::new(Vec::new());

@@ -1,5 +1,5 @@
-//! Scenes that ask for too much: what `check` passes is rendered in bounded time and memory, the rest is an error that says
-//! what there may be.
+//! Scenes that ask for too much: what `check` passes is rendered in bounded time and memory, the
+//! rest is an error that says what there may be.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -23,7 +23,8 @@ fn processor_time(process: u32) -> Option<Duration> {
     Some(Duration::from_millis(ticks * 10))
 }
 
-/// Runs the program; `None` if it takes more than some seconds of processor time, however busy the machine is, or never ends.
+/// Runs the program; `None` if it takes more than some seconds of processor time, however busy the
+/// machine is, or never ends.
 fn rayset_within(folder: &Path, seconds: u64, arguments: &[&str]) -> Option<Output> {
     let mut child = Command::new(env!("CARGO_BIN_EXE_rayset"))
         .current_dir(folder)

@@ -1,4 +1,5 @@
-//! Whatever is rendered without a scene: it is built into the cache, framed, and looks as the data suggest.
+//! Whatever is rendered without a scene: it is built into the cache, framed, and looks as the data
+//! suggest.
 
 use std::fs;
 use std::io::Read;
@@ -261,7 +262,8 @@ fn a_level_set_is_a_solid_thing_in_the_middle_of_the_frame() {
     assert!((area / round - 1.0).abs() < 0.06, "{area} pixels, where a disc has {round}");
 }
 
-/// An array of NumPy of 24 × 24 × 24 voxels: a ball of values from 0 to 1, and `mark` in the first slices.
+/// An array of NumPy of 24 × 24 × 24 voxels: a ball of values from 0 to 1, and `mark` in the first
+/// slices.
 fn marked_volume(path: &Path, mark: f32) {
     let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
     let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (24, 24, 24), }";

@@ -1,4 +1,5 @@
-//! An output is there whole or not at all, is never an input, and what is no file is not replaced by one.
+//! An output is there whole or not at all, is never an input, and what is no file is not replaced
+//! by one.
 
 #![cfg(unix)]
 
@@ -419,8 +420,8 @@ fn wait_for_partial(folder: &Path, child: &mut Child) -> bool {
     true
 }
 
-/// Lets children hear SIGINT although whoever started these tests ignores it, as shells do for what runs in the background: a
-/// signal that is caught is not ignored in children.
+/// Lets children hear SIGINT although whoever started these tests ignores it, as shells do for what
+/// runs in the background: a signal that is caught is not ignored in children.
 fn let_children_be_interrupted() {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored =
@@ -455,7 +456,8 @@ fn a_signal_ends_a_run_with_its_number_and_a_line_and_leaves_nothing() {
     .into_iter()
     .enumerate()
     {
-        // On a busy machine a signal may come when the run has ended by itself, rightly: once more, then.
+        // On a busy machine a signal may come when the run has ended by itself, rightly: once more,
+        // then.
         let signalled = || {
             let mut command = program(f, arguments);
             command.stdout(Stdio::null()).stderr(Stdio::piped());
@@ -513,7 +515,8 @@ fn a_second_signal_ends_at_once_what_the_first_could_not() {
     let_children_be_interrupted();
     let folder = folder();
     let f = folder.path();
-    // Nobody reads what is said, and there is no room for more: the line that the first signal asks for waits.
+    // Nobody reads what is said, and there is no room for more: the line that the first signal asks
+    // for waits.
     let (_reader, mut writer) = std::io::pipe().expect("a pipe");
     writer.write_all(&[b'.'; 1 << 16]).expect("as much as a pipe holds");
     let mut command = program(f, &["generate", "sphere-40m", "-o", "out.ply"]);

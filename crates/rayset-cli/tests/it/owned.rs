@@ -1,4 +1,5 @@
-//! Inputs as people have them: what is up in them, what their columns are, and what has nothing in it.
+//! Inputs as people have them: what is up in them, what their columns are, and what has nothing in
+//! it.
 
 use std::fs;
 use std::path::Path;

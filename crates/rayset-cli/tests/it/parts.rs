@@ -1,4 +1,5 @@
-//! Pictures in parts: joined, they are the file of one render, byte for byte, and what is missing, double, foreign or damaged is refused.
+//! Pictures in parts: joined, they are the file of one render, byte for byte, and what is missing,
+//! double, foreign or damaged is refused.
 
 use std::fs;
 use std::path::Path;
@@ -25,7 +26,8 @@ fn fails(folder: &Path, arguments: &[&str]) -> String {
     said
 }
 
-/// A folder with a small cloud, `cloud.rset`, and a scene with a mirror, a shadow and a moving camera, `scene.json`.
+/// A folder with a small cloud, `cloud.rset`, and a scene with a mirror, a shadow and a moving
+/// camera, `scene.json`.
 fn with_cloud() -> tempfile::TempDir {
     let folder = folder();
     let f = folder.path();
@@ -52,7 +54,8 @@ fn with_cloud() -> tempfile::TempDir {
     folder
 }
 
-/// Renders a picture whole and in so many parts, each with options of its own that change nothing, and compares the bytes.
+/// Renders a picture whole and in so many parts, each with options of its own that change nothing,
+/// and compares the bytes.
 fn parts_make_the_whole(folder: &Path, options: &[&str], whole: &str, counts: &[u32]) {
     let render = [&["render"], options].concat();
     succeeds(folder, &[&render[..], &["-o", whole]].concat());

@@ -1,4 +1,5 @@
-//! What an address grants access with stands in nothing that a run leaves or says, but for the scene that is to open it again.
+//! What an address grants access with stands in nothing that a run leaves or says, but for the
+//! scene that is to open it again.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};

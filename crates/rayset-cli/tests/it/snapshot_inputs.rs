@@ -1,4 +1,5 @@
-//! Snapshots of simulations as inputs of every command: what is read of them, what is kept, and in which units it is shown.
+//! Snapshots of simulations as inputs of every command: what is read of them, what is kept, and in
+//! which units it is shown.
 
 use std::path::Path;
 

@@ -1,4 +1,5 @@
-//! Each option of a style: what it is on the command line, in the scene that is written, and in the command that the viewer gives.
+//! Each option of a style: what it is on the command line, in the scene that is written, and in the
+//! command that the viewer gives.
 
 use std::fmt::Write as _;
 use std::fs;

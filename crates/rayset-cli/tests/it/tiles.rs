@@ -1,4 +1,5 @@
-//! Folders of tiles: memory and open files do not grow with their number, and a damaged one is left out, counted and named.
+//! Folders of tiles: memory and open files do not grow with their number, and a damaged one is left
+//! out, counted and named.
 
 #![cfg(unix)]
 

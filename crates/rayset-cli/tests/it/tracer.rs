@@ -1,7 +1,8 @@
 //! Runs the program as a debugger would (`ptrace`), and disturbs one of its file operations.
 //!
-//! This stands between the program and the kernel, so every operation is met as it is made, whether by rayset, the standard
-//! library or an encoder, in the program that ships: nothing is compiled in for it.
+//! This stands between the program and the kernel, so every operation is met as it is made, whether
+//! by rayset, the standard library or an encoder, in the program that ships: nothing is compiled in
+//! for it.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;

@@ -14,7 +14,8 @@ fn rayset(folder: &Path, arguments: &[&str]) {
     assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// The first and last column and row of each frame in which anything is seen, and the size of a frame.
+/// The first and last column and row of each frame in which anything is seen, and the size of a
+/// frame.
 fn frames(folder: &Path) -> Vec<([usize; 4], [usize; 2])> {
     let frame = |k: usize| {
         let file = fs::File::open(folder.join(format!("t.{k:04}.png"))).expect("the picture");

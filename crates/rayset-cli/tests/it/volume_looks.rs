@@ -21,7 +21,8 @@ fn array(path: &Path, value: impl Fn([f32; 3]) -> f32) {
     fs::write(path, bytes).expect("a write");
 }
 
-/// What is said, and how much brighter than the corner the pixels of a small picture are, row by row.
+/// What is said, and how much brighter than the corner the pixels of a small picture are, row by
+/// row.
 fn render(folder: &Path, more: &[&str]) -> (String, Vec<u8>) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
     let arguments = ["render", "v.npy", "-o", "v.png", "--size", "48x48", "--no-cache"];

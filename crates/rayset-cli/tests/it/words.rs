@@ -102,8 +102,8 @@ fn no_cause_is_said_twice() {
 
 #[test]
 fn an_error_of_the_library_says_all_and_has_no_second_sentence_behind_it() {
-    // A cause that is part of what is displayed and also the `source` is printed twice by whoever walks causes.
-    // `r#source` is displayed and is no source.
+    // A cause that is part of what is displayed and also the `source` is printed twice by whoever
+    // walks causes. `r#source` is displayed and is no source.
     let mut files = Vec::new();
     let crates = ["rayset-base", "rayset-store", "rayset-files", "rayset-formats", "rayset-render"];
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -1,4 +1,5 @@
-//! As much of S3's protocol as an upload takes: objects at once or in parts, and removals (many at a time, as `object_store` asks for them).
+//! As much of S3's protocol as an upload takes: objects at once or in parts, and removals (many at
+//! a time, as `object_store` asks for them).
 
 use std::collections::{BTreeMap, HashMap};
 

@@ -1,5 +1,7 @@
 //! Serves the files of a folder by ranges, as far away and as faulty as is wanted:
-//! `range_server FOLDER PORT [latency_ms=50] [jitter=0.2] [failing=0.01] [slow=0.05] [slow_ms=2000] [cut=0.01] [rate=5500]`.
+//!
+//!     range_server FOLDER PORT [latency_ms=50] [jitter=0.2] [failing=0.01] [slow=0.05]
+//!                              [slow_ms=2000] [cut=0.01] [rate=5500]
 
 #[allow(dead_code, reason = "tests use more of it")]
 mod server;

@@ -1,4 +1,5 @@
-//! A web server of ranges of objects that is as slow, and as wrong, as a test or a measurement wants.
+//! A web server of ranges of objects that is as slow, and as wrong, as a test or a measurement
+//! wants.
 
 use std::collections::{HashMap, HashSet};
 use std::convert::Infallible;
@@ -29,7 +30,8 @@ pub(crate) struct Behaviour {
     pub jitter: f64,
     /// Share of the requests that are answered by 500.
     pub failing: f64,
-    /// The most requests a second that are answered; those beyond are answered by 503. All are answered if this is 0.
+    /// The most requests a second that are answered; those beyond are answered by 503. All are
+    /// answered if this is 0.
     pub rate: f64,
     /// Share of the requests that take so much longer.
     pub slow: (f64, Duration),
@@ -37,15 +39,18 @@ pub(crate) struct Behaviour {
     pub cut: f64,
     /// What every request is answered by, instead of what it asks for.
     pub refuses: Option<u16>,
-    /// The session token of credentials that have expired; requests with it are refused as S3 refuses them.
+    /// The session token of credentials that have expired; requests with it are refused as S3
+    /// refuses them.
     pub expired: Option<String>,
-    /// Where the objects whose names begin so are: what stands before the rest of their names there.
+    /// Where the objects whose names begin so are: what stands before the rest of their names
+    /// there.
     pub redirects: Option<(String, String)>,
     /// What every refusal says besides.
     pub says: String,
-    /// Names of deviations: `no-tags` (and no dates), `weak-tags`, `no-ranges`, `no-head`, `short` and `long` (the length that is
-    /// announced is not that of what is sent), `too-few` (half of what was asked for, and said to be all), `other-range` (another range than the one asked for is sent), `silent` (requests
-    /// are taken and never answered).
+    /// Names of deviations: `no-tags` (and no dates), `weak-tags`, `no-ranges`, `no-head`, `short`
+    /// and `long` (the length that is announced is not that of what is sent), `too-few` (half of
+    /// what was asked for, and said to be all), `other-range` (another range than the one asked for
+    /// is sent), `silent` (requests are taken and never answered).
     pub odd: HashSet<&'static str>,
 }
 
@@ -72,7 +77,8 @@ pub(crate) struct Objects {
     next: Mutex<Option<(u64, Event)>>,
     random: AtomicU64,
     rate: Mutex<Rate>,
-    /// What came: the method, the name, the query, the headers and the beginning of the body of each request.
+    /// What came: the method, the name, the query, the headers and the beginning of the body of
+    /// each request.
     pub heard: Mutex<Vec<String>>,
     /// Requests that came, of every kind.
     pub requests: AtomicU64,

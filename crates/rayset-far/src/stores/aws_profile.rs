@@ -1,7 +1,8 @@
 //! Credentials, region and endpoint of a profile, as the tools of AWS keep them in `~/.aws`.
 //!
-//! Fixed keys and `credential_process` are read as they are. Profiles that log in or take roles (`sso_session`, `role_arn`) are
-//! asked for by `aws configure export-credentials`, if the command `aws` is there.
+//! Fixed keys and `credential_process` are read as they are. Profiles that log in or take roles
+//! (`sso_session`, `role_arn`) are asked for by `aws configure export-credentials`, if the command
+//! `aws` is there.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -29,7 +30,8 @@ pub(super) enum Credentials {
     Process(Process),
 }
 
-/// The profile that is to be used; `None` if the environment has credentials of its own, or there is no profile.
+/// The profile that is to be used; `None` if the environment has credentials of its own, or there
+/// is no profile.
 pub(super) fn find() -> io::Result<Option<Profile>> {
     let home = set("HOME").or_else(|| set("USERPROFILE")).map(PathBuf::from).unwrap_or_default();
     let file = |name: &str, default: &str| {

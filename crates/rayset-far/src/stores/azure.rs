@@ -1,4 +1,5 @@
-//! Clients of Azure's containers, with what its own tools are told: variables of the environment and connection strings.
+//! Clients of Azure's containers, with what its own tools are told: variables of the environment
+//! and connection strings.
 
 use object_store::azure::{AzureConfigKey, MicrosoftAzureBuilder};
 use object_store::{ClientOptions, azure::MicrosoftAzure};
@@ -95,7 +96,8 @@ impl Connection {
     }
 }
 
-/// The account that an endpoint is of: the first part of its host, or of its path if the host is a number or this machine.
+/// The account that an endpoint is of: the first part of its host, or of its path if the host is a
+/// number or this machine.
 fn account_of(endpoint: &str) -> Option<String> {
     let url = Url::parse(endpoint).ok()?;
     let in_path = || url.path_segments()?.next().filter(|part| !part.is_empty()).map(str::to_owned);

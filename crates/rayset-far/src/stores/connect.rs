@@ -157,7 +157,8 @@ pub(super) fn set(name: &str) -> Option<String> {
     env::var(name).ok().filter(|value| !value.is_empty())
 }
 
-/// What is tried again is decided by `FarStorage` and `tries`, and so is how long an answer is waited for.
+/// What is tried again is decided by `FarStorage` and `tries`, and so is how long an answer is
+/// waited for.
 pub(super) fn once() -> RetryConfig {
     RetryConfig { max_retries: 0, ..RetryConfig::default() }
 }

@@ -1,5 +1,5 @@
-//! Credentials that a command says: asked for when they are needed first, again before they expire, and again when a server says
-//! that they have.
+//! Credentials that a command says: asked for when they are needed first, again before they expire,
+//! and again when a server says that they have.
 
 use std::io;
 use std::process::Stdio;
@@ -14,7 +14,8 @@ use tokio::sync::Mutex;
 
 /// How long credentials that say no end are used before they are asked for again.
 const USED_FOR: Duration = Duration::from_secs(600);
-/// Those that say one are asked for again so long before it; sooner after half of their time, if it is short.
+/// Those that say one are asked for again so long before it; sooner after half of their time, if it
+/// is short.
 const RENEWED_BEFORE: Duration = Duration::from_secs(300);
 /// How long a command may take.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(25);
@@ -53,7 +54,8 @@ impl Process {
         words.find(|word| !word.contains('=')).unwrap_or_default()
     }
 
-    /// A number for the credentials that a request made now is made with, which is another for others.
+    /// A number for the credentials that a request made now is made with, which is another for
+    /// others.
     pub(super) async fn turn_now(&self) -> object_store::Result<u64> {
         self.get_credential().await?;
         Ok(self.turn())
@@ -63,7 +65,8 @@ impl Process {
         self.turns.load(Ordering::Relaxed)
     }
 
-    /// Asks for other credentials than those of a turn, unless somebody has. Returns whether there are others.
+    /// Asks for other credentials than those of a turn, unless somebody has. Returns whether there
+    /// are others.
     pub(super) async fn renew(&self, used: u64) -> object_store::Result<bool> {
         let mut said = self.said.lock().await;
         if self.turn() == used {
@@ -160,7 +163,8 @@ mod tests {
         run(Process::new(command.to_owned()).ask(SystemTime::now())).expect_err("no credentials").to_string()
     }
 
-    /// A command that counts its runs, says their number as the key, and a date at which it expires.
+    /// A command that counts its runs, says their number as the key, and a date at which it
+    /// expires.
     fn counting(folder: &std::path::Path, expires: &str) -> Process {
         let count = folder.join("runs");
         let said = format!(

@@ -15,7 +15,8 @@ pub(super) fn may_pass(error: &Error) -> bool {
     match error {
         Error::Generic { .. } => match status(error) {
             Some(code) => (code >= 500 && code != 501) || matches!(code, 408 | 425 | 429),
-            // A connection that was cut or not made; an answer that was not what was asked for, as of a proxy.
+            // A connection that was cut or not made; an answer that was not what was asked for, as
+            // of a proxy.
             None => !is_expired(error) && !causes(error).any(|cause| cause.is::<NotFollowed>()),
         },
         Error::JoinError { .. } => true,
@@ -166,8 +167,8 @@ fn without_query(word: &str) -> &str {
     }
 }
 
-/// A text without the XML or HTML in it, but for what says what went wrong. Others of its elements repeat signatures, tokens and what was
-/// signed.
+/// A text without the XML or HTML in it, but for what says what went wrong. Others of its elements
+/// repeat signatures, tokens and what was signed.
 fn without_elements(text: &str) -> Cow<'_, str> {
     let begins =
         |at: &usize| text[at + 1..].starts_with(|c: char| c.is_ascii_alphabetic() || "?!/".contains(c));

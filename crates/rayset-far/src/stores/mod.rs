@@ -1,8 +1,10 @@
 //! Addresses by `object_store`: who is asked for what.
 //!
-//! `place` reads an address, `connect` makes the client of a bucket or a host with the user's credentials (`aws_profile`, `azure`,
-//! `credential_process`; `renewal`, when they have expired), `object` reads ranges of a pinned object, `upload` writes one (`pending` finds uploads that were left), `tries`
-//! makes requests in bounded time, over connections of `redirect`, `failure` says what went wrong.
+//! `place` reads an address, `connect` makes the client of a bucket or a host with the user's
+//! credentials (`aws_profile`, `azure`, `credential_process`; `renewal`, when they have expired),
+//! `object` reads ranges of a pinned object, `upload` writes one (`pending` finds uploads that were
+//! left), `tries` makes requests in bounded time, over connections of `redirect`, `failure` says
+//! what went wrong.
 
 mod aws_profile;
 mod azure;
@@ -36,7 +38,8 @@ use crate::{IN_FLIGHT, REQUESTS_BYTES};
 
 /// An object that was looked at less long ago than this is taken to be what it was.
 const TRUSTED: Duration = Duration::from_secs(2);
-/// Bytes that are read when an object is looked at: scenes are read whole, and other files say there where the rest is.
+/// Bytes that are read when an object is looked at: scenes are read whole, and other files say
+/// there where the rest is.
 const FIRST_BYTES: u64 = 64 << 10;
 /// Objects that are kept open, with their first bytes, for whoever opens them next.
 const RECENT: usize = 4;
@@ -103,7 +106,8 @@ impl Stores {
         Ok(runtime.insert(Arc::new(made)).clone())
     }
 
-    /// Waits for something that is done elsewhere; may be called wherever waiting is allowed, also by tasks of another runtime.
+    /// Waits for something that is done elsewhere; may be called wherever waiting is allowed, also
+    /// by tasks of another runtime.
     fn wait<T: Send + 'static>(
         &self,
         work: impl Future<Output = io::Result<T>> + Send + 'static,
@@ -144,7 +148,8 @@ impl Stores {
         }
     }
 
-    /// Keeps an object for whoever opens it next: a scene is looked at by one reader after the other.
+    /// Keeps an object for whoever opens it next: a scene is looked at by one reader after the
+    /// other.
     fn keep(&self, object: Arc<PinnedObject>) {
         let mut recent = self.recent.lock().unwrap_or_else(PoisonError::into_inner);
         recent.push_back(object);

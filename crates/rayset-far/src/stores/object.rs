@@ -35,7 +35,8 @@ impl Version {
         Self { length: meta.size, tag, changed: meta.last_modified.timestamp() }
     }
 
-    /// A text that differs for another object; `None` if there is nothing to tell it by but the length.
+    /// A text that differs for another object; `None` if there is nothing to tell it by but the
+    /// length.
     fn text(&self) -> Option<String> {
         match &self.tag {
             Some(tag) => Some(tag.clone()),
@@ -74,8 +75,9 @@ pub(super) async fn look(client: &Client, place: &Place, bytes: u64, times: Time
     tries::attempts(times, &client.renewal, look).await.map_err(|failed| failed.in_words(&place.name))
 }
 
-/// Some servers, which then may say that there is nothing, and addresses that were signed for reading, allow no look without a
-/// read; and only the answer to a read says in its body why it is refused. An object without bytes, though, cannot be read.
+/// Some servers, which then may say that there is nothing, and addresses that were signed for
+/// reading, allow no look without a read; and only the answer to a read says in its body why it is
+/// refused. An object without bytes, though, cannot be read.
 async fn look_once(store: &dyn ObjectStore, path: &Path, bytes: u64) -> Result<Look, Error> {
     let first = GetOptions { range: Some(GetRange::Bounded(0..bytes.max(1))), ..GetOptions::default() };
     let refused = match store.get_opts(path, first).await {
@@ -241,7 +243,8 @@ impl Ranges {
         }
     }
 
-    /// Returns whether the answer is about the object that was opened; its bytes are taken only then.
+    /// Returns whether the answer is about the object that was opened; its bytes are taken only
+    /// then.
     async fn receive(&self, range: Range<u64>, mut take: impl FnMut(&Bytes) -> bool) -> Result<bool, Error> {
         let answer = self.client.renewal.with(|| {
             let range = Some(GetRange::Bounded(range.clone()));

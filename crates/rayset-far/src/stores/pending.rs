@@ -1,5 +1,6 @@
-//! Uploads that are pending in a bucket of S3: those of an object whose identities nobody knows any more, because a run was killed, or
-//! an answer lost, between the beginning of an upload and the note that says so.
+//! Uploads that are pending in a bucket of S3: those of an object whose identities nobody knows any
+//! more, because a run was killed, or an answer lost, between the beginning of an upload and the
+//! note that says so.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -29,8 +30,8 @@ impl Pending {
         Ok(Self { signer, client: Connector.connect(options)? })
     }
 
-    /// The uploads of exactly this object, of the first thousand of objects whose names begin as its does: those of the shortest name
-    /// come first.
+    /// The uploads of exactly this object, of the first thousand of objects whose names begin as
+    /// its does: those of the shortest name come first.
     pub(super) async fn of(&self, path: &Path) -> Result<Vec<String>> {
         let mut request = HttpRequest::new(HttpRequestBody::empty());
         let query = [("uploads", ""), ("prefix", path.as_ref())];

@@ -15,7 +15,8 @@ pub(super) enum Keeper {
     Google(String),
     /// A container of Azure's.
     Azure(String),
-    /// A web server: scheme, host and port, with the query of the address, which may be what grants access.
+    /// A web server: scheme, host and port, with the query of the address, which may be what grants
+    /// access.
     Web(String),
 }
 
@@ -24,7 +25,8 @@ pub(super) enum Keeper {
 pub(super) struct Place {
     pub(super) keeper: Keeper,
     pub(super) path: Path,
-    /// Tells it from other objects of its keeper: the address, that of a web server without its secrets.
+    /// Tells it from other objects of its keeper: the address, that of a web server without its
+    /// secrets.
     pub(super) name: String,
 }
 

@@ -1,8 +1,8 @@
 //! Connections whose redirects carry no secret to another server.
 //!
-//! A redirect is followed here, and not by the client of HTTP, which hands on the address that it comes from with its query
-//! (`Referer`), and every header that it does not know to be secret, such as `x-amz-security-token`. To another server go the headers
-//! of [`HANDED_ON`] alone, and no body.
+//! A redirect is followed here, and not by the client of HTTP, which hands on the address that it
+//! comes from with its query (`Referer`), and every header that it does not know to be secret, such
+//! as `x-amz-security-token`. To another server go the headers of [`HANDED_ON`] alone, and no body.
 
 use std::collections::hash_map::RandomState;
 use std::fmt;

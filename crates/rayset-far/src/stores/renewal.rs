@@ -1,4 +1,5 @@
-//! Credentials that the server says have expired are renewed where that can be done, and the request made once more.
+//! Credentials that the server says have expired are renewed where that can be done, and the
+//! request made once more.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -18,7 +19,8 @@ impl Renewal {
         Self(Some(process))
     }
 
-    /// Makes a request, and once more with other credentials if those that it was made with have expired.
+    /// Makes a request, and once more with other credentials if those that it was made with have
+    /// expired.
     pub(super) async fn with<T, F: Future<Output = Result<T, Error>>>(
         &self,
         mut work: impl FnMut() -> F,

@@ -11,7 +11,8 @@ use super::failure;
 use super::renewal::Renewal;
 use crate::times::Times;
 
-/// How far a pause is shortened or lengthened at random, so that those who failed together do not come back together.
+/// How far a pause is shortened or lengthened at random, so that those who failed together do not
+/// come back together.
 const JITTER: f64 = 0.25;
 
 /// Why all attempts at a request have failed.
@@ -35,8 +36,8 @@ impl Failure {
     }
 }
 
-/// Tries until it succeeds, fails for good or too often, or the time is over. What a server refuses because it is asked for too much
-/// at a time does not count as a failure.
+/// Tries until it succeeds, fails for good or too often, or the time is over. What a server refuses
+/// because it is asked for too much at a time does not count as a failure.
 pub(super) async fn attempts<T, F: Future<Output = Result<T, Error>>>(
     times: Times,
     renewal: &Renewal,

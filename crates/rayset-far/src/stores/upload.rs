@@ -1,9 +1,10 @@
 //! An object of a finished file: whole, or not at all.
 //!
-//! What is longer than [`PART_BYTES`] is sent in parts, which become an object only when the last of them is there. Until then a
-//! small object beside it, its note, says which upload is under way, so that the next run to the same output can clear away
-//! what a run that was killed has left behind. The note is there, empty, before an upload begins: where it says no more, the
-//! bucket is asked for the uploads of this object.
+//! What is longer than [`PART_BYTES`] is sent in parts, which become an object only when the last
+//! of them is there. Until then a small object beside it, its note, says which upload is under way,
+//! so that the next run to the same output can clear away what a run that was killed has left
+//! behind. The note is there, empty, before an upload begins: where it says no more, the bucket is
+//! asked for the uploads of this object.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -35,7 +36,8 @@ const FEW_BYTES: u64 = 64 << 10;
 /// Longest note that is read.
 const LONGEST_NOTE: u64 = 64 << 10;
 
-/// The uploads that are under way, by the names of their objects; their identities are empty until they are known.
+/// The uploads that are under way, by the names of their objects; their identities are empty until
+/// they are known.
 #[derive(Clone, Default)]
 pub(super) struct Uploads(Arc<Mutex<HashMap<String, String>>>);
 
@@ -69,7 +71,8 @@ impl Writer {
     }
 }
 
-/// Clears away what a run that was killed has left behind, and makes sure that the bucket can be written to.
+/// Clears away what a run that was killed has left behind, and makes sure that the bucket can be
+/// written to.
 pub(super) async fn prepare(writer: Writer, place: Place) -> io::Result<()> {
     let said = |failed: Failure| failed.in_words(&place.name);
     let note = note_of(&place);
@@ -94,7 +97,8 @@ pub(super) async fn prepare(writer: Writer, place: Place) -> io::Result<()> {
     writer.ask(|| writer.store.delete(&note)).await.or_else(none_there).map_err(said)
 }
 
-/// Sends a file, in parts of which as many are sent at a time as have `sending_bytes` together, at least one.
+/// Sends a file, in parts of which as many are sent at a time as have `sending_bytes` together, at
+/// least one.
 pub(super) async fn put(
     writer: Writer,
     place: Place,
@@ -168,7 +172,8 @@ async fn begin(writer: &Writer, path: &Path) -> Result<String, Failure> {
     begun
 }
 
-/// Clears away the uploads of an object other than one, where they can be found. That they cannot is no error: they are not in the way.
+/// Clears away the uploads of an object other than one, where they can be found. That they cannot
+/// is no error: they are not in the way.
 async fn clear_unknown(writer: &Writer, path: &Path, except: Option<&String>) {
     let Some(pending) = &writer.pending else { return };
     for id in writer.ask(|| pending.of(path)).await.unwrap_or_default() {

@@ -1,4 +1,5 @@
-//! Work in a process of its own: with folders, an environment and times of its own, so that all that it leaves behind is seen.
+//! Work in a process of its own: with folders, an environment and times of its own, so that all
+//! that it leaves behind is seen.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -26,9 +27,11 @@ pub(crate) struct Child {
 }
 
 impl Child {
-    /// `words`: `open ADDRESS`; `read ADDRESS`, which says a digest of all of its bytes; `cloud ADDRESS BUDGET` and `grid ADDRESS BUDGET`, which render and say the [`digest`] of the
-    /// picture; `points INPUT OUTPUT` and `volume INPUT OUTPUT`, which build; `rewritten FIRST SECOND OUTPUT`,
-    /// which builds one after the other at one place and says how many points are there each time.
+    /// `words`: `open ADDRESS`; `read ADDRESS`, which says a digest of all of its bytes;
+    /// `cloud ADDRESS BUDGET` and `grid ADDRESS BUDGET`, which render and say the [`digest`] of the
+    /// picture; `points INPUT OUTPUT` and `volume INPUT OUTPUT`, which build;
+    /// `rewritten FIRST SECOND OUTPUT`, which builds one after the other at one place and says how
+    /// many points are there each time.
     pub(crate) fn new(words: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let mut command = Command::new(std::env::current_exe().expect("this program"));

@@ -53,7 +53,8 @@ fn credentials_that_have_expired_are_told_at_once_whenever_it_happens() {
     }
 }
 
-/// A process that makes [`PICTURE`] and whose credentials a command says, which counts its runs: the token is their number.
+/// A process that makes [`PICTURE`] and whose credentials a command says, which counts its runs:
+/// the token is their number.
 fn by_command(server: &RangeServer, folder: &Path, more: &str) -> Child {
     let runs = folder.join("runs").display().to_string();
     let said = format!(
@@ -85,7 +86,8 @@ fn a_command_is_asked_for_other_credentials_once_when_those_in_use_have_expired(
         assert_eq!(said, expected);
         assert_eq!(runs(folder.path()), 2, "{requests}");
     }
-    // A command that has nothing better to say: whoever asked it says so, after a second run at most for each that is waiting.
+    // A command that has nothing better to say: whoever asked it says so, after a second run at
+    // most for each that is waiting.
     let folder = tempfile::tempdir().expect("a folder");
     server.behave(expired("token-1"));
     let mut child = by_command(&server, folder.path(), "");

@@ -1,5 +1,6 @@
-//! What goes wrong once something has been opened: clouds and grids that are rendered, points and volumes that are built. The outcome
-//! is the one of local files or a clear error, in bounded time, and nothing is left behind.
+//! What goes wrong once something has been opened: clouds and grids that are rendered, points and
+//! volumes that are built. The outcome is the one of local files or a clear error, in bounded time,
+//! and nothing is left behind.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -102,7 +103,8 @@ impl Far {
         let renders = matches!(self.word, "cloud" | "grid");
         let last = if renders { self.budget.to_owned() } else { output.display().to_string() };
         let child = Child::new(&[self.word, &address, &last]).within(TIMES.0, TIMES.1);
-        // What is kept of one run would spare the next one its requests: each has a folder of its own.
+        // What is kept of one run would spare the next one its requests: each has a folder of its
+        // own.
         let mut child = if keeping { child.keeping(&cache, 64 << 20) } else { child };
         let started = Instant::now();
         let said = child.run();
@@ -122,7 +124,8 @@ impl Far {
         Outcome { result, took }
     }
 
-    /// It ends as it does without faults, of which there is at least one: it is done until one has been counted.
+    /// It ends as it does without faults, of which there is at least one: it is done until one has
+    /// been counted.
     fn is_right(&self, behaviour: &Behaviour, faults: impl Fn(&Objects) -> &AtomicU64) {
         let before = self.count(&faults);
         for round in 0..100 {
@@ -139,7 +142,8 @@ impl Far {
 
     /// From about the middle on it goes wrong, and this is said of it.
     fn goes_wrong(&self, event: &Event, word: &str) {
-        // The first requests open it. A busy machine joins more of the others: then fewer of them are half of all.
+        // The first requests open it. A busy machine joins more of the others: then fewer of them
+        // are half of all.
         let parts = [2, 3, 4, 6, 8, 16].map(|part| (self.requests / part).max(2));
         let found = parts.into_iter().find_map(|requests| {
             self.server.after(requests, event.clone());
@@ -189,7 +193,8 @@ impl Far {
     }
 }
 
-/// Opens the cache, as the next run does, which removes what a process that has ended was about to keep.
+/// Opens the cache, as the next run does, which removes what a process that has ended was about to
+/// keep.
 fn nothing_is_unfinished(cache: &Path) {
     rayset_far::Cache::open(cache, 64 << 20).expect("a cache");
     assert_eq!(files(&cache.join("rayset-far-1/unfinished")), Vec::<PathBuf>::new());
@@ -243,7 +248,8 @@ fn many_processes_share_a_server_that_refuses_what_is_too_much() {
 #[test]
 fn grids_are_rendered_right_whatever_passes() {
     let far = Far::grid();
-    // With room for a few pages alone, whatever is slow is waited for before anything else is asked for.
+    // With room for a few pages alone, whatever is slow is waited for before anything else is asked
+    // for.
     let narrow = Far { budget: "4000000", ..far.beside() };
     std::thread::scope(|scope| {
         scope.spawn(|| narrow.is_right(&slow(0.05, 2000), |objects| &objects.slowed));

@@ -1,4 +1,5 @@
-//! Points, volumes and scenes on a web server become the very clouds, grids and scenes that local files become.
+//! Points, volumes and scenes on a web server become the very clouds, grids and scenes that local
+//! files become.
 
 use std::path::{Path, PathBuf};
 
@@ -50,7 +51,8 @@ pub(crate) fn laz(count: usize) -> Vec<u8> {
     LasFile::random(7, count, 0, 5).laz(Chunks::Fixed(5_000))
 }
 
-/// A COPC file: chunks that are nodes of an octree, its description in the first record, and its hierarchy in an extended one.
+/// A COPC file: chunks that are nodes of an octree, its description in the first record, and its
+/// hierarchy in an extended one.
 fn copc(chunks: &'static [usize]) -> Vec<u8> {
     let mut file = LasFile::random(7, chunks.iter().sum(), 0, 9);
     file.records.push(("copc", 1, vec![0; 160]));

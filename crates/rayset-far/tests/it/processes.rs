@@ -15,7 +15,8 @@ const MOST: u64 = 16 << 20;
 const OBJECTS: [&str; 4] = ["a", "b", "c", "d"];
 const OBJECT_BYTES: usize = 9 << 20;
 
-/// What all files of the folder take on disk, those that are unfinished too, while nobody writes; and what the folder says of it.
+/// What all files of the folder take on disk, those that are unfinished too, while nobody writes;
+/// and what the folder says of it.
 fn size(folder: &Path) -> Option<(u64, u64)> {
     let own = folder.join("rayset-far-1");
     let lock = File::options().read(true).write(true).open(own.join("bytes")).ok()?;
@@ -46,12 +47,14 @@ fn the_folder_of_the_cache_never_exceeds_its_size_whoever_uses_it_and_is_killed(
         assert!(bytes <= said, "{bytes} bytes, and {said} are said");
         largest.set(bytes.max(largest.get()));
     };
-    // Most of what they read is kept, but not what they would still keep when they end: until enough is there.
+    // Most of what they read is kept, but not what they would still keep when they end: until
+    // enough is there.
     let mut round = 0;
     while round < 4 || (largest.get() <= MOST / 2 && round < 50) {
         let mut children: Vec<Child> = (0..4).map(|number| reader(round + number)).collect();
         let mut running: Vec<_> = children.iter_mut().map(Child::spawn).collect();
-        // The first is killed while it keeps something, as far as that can be seen from here; at the latest a moment later.
+        // The first is killed while it keeps something, as far as that can be seen from here; at
+        // the latest a moment later.
         let started = Instant::now();
         let unfinished = folder.path().join("rayset-far-1/unfinished");
         while files(&unfinished).is_empty()

@@ -47,7 +47,8 @@ fn whoever_reads_or_sends_when_the_server_falls_silent_is_told_so_in_time() {
     let address = server.address_of("sphere.rset");
     for (words, requests) in [
         (["cloud", &address, "200000"], 12),
-        // The note is looked for, written and removed; it is written again, an upload is begun, and noted: then come the parts.
+        // The note is looked for, written and removed; it is written again, an upload is begun, and
+        // noted: then come the parts.
         (["points", &large.display().to_string(), "s3://bucket/a.rset"], 6),
         (["points", &large.display().to_string(), "s3://bucket/b.rset"], 8),
     ] {
@@ -60,7 +61,8 @@ fn whoever_reads_or_sends_when_the_server_falls_silent_is_told_so_in_time() {
         assert!(started.elapsed() < SOON, "{words:?}: {:?}", started.elapsed());
         assert!(child.left().is_empty(), "{words:?}: {:?}", child.left());
     }
-    // What the server was not asked to remove while it was silent is removed by the next runs to the same outputs.
+    // What the server was not asked to remove while it was silent is removed by the next runs to
+    // the same outputs.
     server.behave(Behaviour::default());
     for name in ["a", "b"] {
         let output = format!("s3://bucket/{name}.rset");

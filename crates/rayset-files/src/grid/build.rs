@@ -1,5 +1,5 @@
-//! Out-of-core building of a grid file from a stream of voxels: slices are read once, and a layer of bricks is written as
-//! soon as the slices that it needs have been read.
+//! Out-of-core building of a grid file from a stream of voxels: slices are read once, and a layer
+//! of bricks is written as soon as the slices that it needs have been read.
 
 use std::collections::VecDeque;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -67,8 +67,8 @@ pub enum GridBuildError {
     },
 }
 
-/// Memory for buffers, in bytes: of a piece of voxels before and after conversion, of a decompressor, of the output, and of the values
-/// that are counted.
+/// Memory for buffers, in bytes: of a piece of voxels before and after conversion, of a
+/// decompressor, of the output, and of the values that are counted.
 const BUFFER_BYTES: u64 = 3 * PIECE_BYTES as u64 + (3 << 20) + Census::BYTES;
 /// Upper limit on the bytes that are copied out of the slices at a time.
 const MOST_WINDOW_BYTES: u64 = 16 << 20;
@@ -79,7 +79,8 @@ const MOST_WINDOW_BYTES: u64 = 16 << 20;
 pub struct GridBuildOptions {
     /// Memory to use, in bytes.
     pub memory_bytes: u64,
-    /// Folder of the temporary file that is used if the slices do not fit in memory; by default that of the output.
+    /// Folder of the temporary file that is used if the slices do not fit in memory; by default
+    /// that of the output.
     pub temp_dir: Option<PathBuf>,
 }
 
@@ -95,8 +96,8 @@ impl Default for GridBuildOptions {
     }
 }
 
-/// Builds a grid file, which gets its name once it is complete. The control's progress reports the slices done, as
-/// [`Stage::Read`].
+/// Builds a grid file, which gets its name once it is complete. The control's progress reports the
+/// slices done, as [`Stage::Read`].
 ///
 /// # Errors
 /// [`GridBuildError`]; no file is left behind then.
@@ -266,8 +267,8 @@ fn voxels_of(header: &GridHeader, axis: usize, bricks: Range<u64>) -> Range<u64>
     (bricks.start * cells).saturating_sub(1)..(bricks.end * cells + 2).min(header.size[axis])
 }
 
-/// Copies the voxels of a brick; beyond the grid, its edge voxels are repeated. Returns the range of the values that samples
-/// in the cells of the brick may use.
+/// Copies the voxels of a brick; beyond the grid, its edge voxels are repeated. Returns the range
+/// of the values that samples in the cells of the brick may use.
 fn fill_brick(window: &Window, header: &GridHeader, brick: [u64; 3], page: &mut [u8]) -> (f32, f32) {
     let (kind, n, cells) = (header.kind, header.brick_voxels, header.brick_cells());
     let width = kind.bytes();
@@ -293,7 +294,8 @@ fn fill_brick(window: &Window, header: &GridHeader, brick: [u64; 3], page: &mut 
     (low, high)
 }
 
-/// The file being written: bricks in order, and the pages of their ranges behind the place where the bricks will end.
+/// The file being written: bricks in order, and the pages of their ranges behind the place where
+/// the bricks will end.
 struct Writer {
     bricks: BufWriter<OutputWriter>,
     /// A second position for writing, and reading, in the same file.
@@ -349,8 +351,8 @@ impl Writer {
         Ok(())
     }
 
-    /// Enters the identity into the checksums of the pages, writes the sections behind them, and finally the header that
-    /// makes this a grid file.
+    /// Enters the identity into the checksums of the pages, writes the sections behind them, and
+    /// finally the header that makes this a grid file.
     fn finish(mut self, header: &mut GridHeader) -> io::Result<()> {
         if self.ranges_in_page > 0 {
             self.end_range_page()?;
@@ -381,15 +383,18 @@ impl Writer {
     }
 }
 
-/// Converts the checksums of pages that were sealed with an all-zero identity to those for the identity of the file, which
-/// was known only after the last voxel; returns the digest of the pages.
+/// Converts the checksums of pages that were sealed with an all-zero identity to those for the
+/// identity of the file, which was known only after the last voxel; returns the digest of the
+/// pages.
 ///
-/// The checksum is the CRC of the identity followed by the rest of the page. The CRC of a concatenation follows from the
-/// CRCs of its parts, so the pages need not be read again. Before, the identity was sixteen zero bytes.
+/// The checksum is the CRC of the identity followed by the rest of the page. The CRC of a
+/// concatenation follows from the CRCs of its parts, so the pages need not be read again. Before,
+/// the identity was sixteen zero bytes.
 fn identify(file: &mut OutputWriter, header: &GridHeader, pages: Range<u64>) -> io::Result<u32> {
     let rest_bytes = PAGE_BYTES - 4;
     let before = Identity::default().seed();
-    // The CRC is affine: replacing what precedes the page XORs the same term into the checksum of every page.
+    // The CRC is affine: replacing what precedes the page XORs the same term into the checksum of
+    // every page.
     let zeros = vec![0; rest_bytes];
     let exchange =
         crc32c::crc32c_append(before, &zeros) ^ crc32c::crc32c_append(header.identity.seed(), &zeros);

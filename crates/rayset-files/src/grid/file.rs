@@ -1,4 +1,5 @@
-//! Opening a grid: header, footer, length and descriptions are checked here; pages are checked when they are read.
+//! Opening a grid: header, footer, length and descriptions are checked here; pages are checked when
+//! they are read.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -79,7 +80,8 @@ impl HasPages for Grid {
 }
 
 impl Grid {
-    /// Opens a grid and checks its header, its length, its descriptions and its footer. The path may be an address
+    /// Opens a grid and checks its header, its length, its descriptions and its footer. The path
+    /// may be an address
     /// ([`storage::open_addresses_with`](rayset_store::storage::open_addresses_with)).
     ///
     /// # Errors
@@ -88,7 +90,8 @@ impl Grid {
         PagedFile::open(path.as_ref()).map(|file| Self { file })
     }
 
-    /// Opens a grid whose bytes are in memory, for example those of a file that was read. They are used in place.
+    /// Opens a grid whose bytes are in memory, for example those of a file that was read. They are
+    /// used in place.
     ///
     /// # Errors
     /// [`OpenError`] if they are not a complete grid of this version.
@@ -96,8 +99,8 @@ impl Grid {
         PagedFile::from_bytes(bytes.into()).map(|file| Self { file })
     }
 
-    /// Opens a grid whose bytes are read from any storage; `name` is for messages. The bytes must not change while the grid
-    /// is open.
+    /// Opens a grid whose bytes are read from any storage; `name` is for messages. The bytes must
+    /// not change while the grid is open.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -105,7 +108,8 @@ impl Grid {
         PagedFile::over(name, storage).map(|file| Self { file })
     }
 
-    /// The storage that its pages are read from; `None` for a file on disk, which is opened by its path.
+    /// The storage that its pages are read from; `None` for a file on disk, which is opened by its
+    /// path.
     #[doc(hidden)]
     #[must_use]
     pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
@@ -118,8 +122,8 @@ impl Grid {
         &self.file.path
     }
 
-    /// What opens it again: its path or address, with the query of a signed one, which grants access and is not to be shown; the
-    /// name of the storage else.
+    /// What opens it again: its path or address, with the query of a signed one, which grants
+    /// access and is not to be shown; the name of the storage else.
     #[must_use]
     pub fn address(&self) -> &Path {
         &self.file.address
@@ -140,8 +144,9 @@ impl Grid {
         Ok(self.file.header.pages())
     }
 
-    /// About `most` voxels, or all if there are fewer, from bricks evenly spaced along the file: their positions in the space
-    /// of the file, and a column of their values, scaled as the header says. A function of the file alone.
+    /// About `most` voxels, or all if there are fewer, from bricks evenly spaced along the file:
+    /// their positions in the space of the file, and a column of their values, scaled as the header
+    /// says. A function of the file alone.
     ///
     /// # Errors
     /// [`ScanError`] if a page cannot be read or is damaged.
@@ -174,7 +179,8 @@ impl Grid {
         Ok(batch)
     }
 
-    /// The value of the voxel nearest to a place in the space of the file, scaled as the header says; `None` outside of the grid.
+    /// The value of the voxel nearest to a place in the space of the file, scaled as the header
+    /// says; `None` outside of the grid.
     ///
     /// # Errors
     /// [`ScanError`] if its page cannot be read or is damaged.
@@ -204,7 +210,8 @@ impl Grid {
         Ok(found)
     }
 
-    /// Passes the voxels of a brick that no other brick has as its own to `take`: their places and stored values.
+    /// Passes the voxels of a brick that no other brick has as its own to `take`: their places and
+    /// stored values.
     fn for_each_own_voxel(&self, brick: u64, page: &[u8], mut take: impl FnMut([u64; 3], f64)) {
         let header = &self.file.header;
         let (kind, bricks) = (header.kind, header.bricks());
@@ -228,7 +235,8 @@ impl Grid {
         }
     }
 
-    /// Reads all voxels into memory, x fastest, as stored (without scale and offset): for small grids.
+    /// Reads all voxels into memory, x fastest, as stored (without scale and offset): for small
+    /// grids.
     ///
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.

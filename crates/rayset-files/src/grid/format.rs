@@ -1,7 +1,8 @@
 //! The layout of grid files: the section `GRID`, as [`GridHeader`], and the contents of the pages.
 //!
-//! A brick holds all voxels that samples in its cells need, including those shared with neighbouring bricks, so that a
-//! sample reads a single page. Numbers are little-endian. The surrounding container format is in [`rayset_store::container`].
+//! A brick holds all voxels that samples in its cells need, including those shared with
+//! neighbouring bricks, so that a sample reads a single page. Numbers are little-endian. The
+//! surrounding container format is in [`rayset_store::container`].
 
 use super::labels::GridLabels;
 use rayset_base::geometry::{DAffine3, DVec3};
@@ -32,8 +33,8 @@ pub enum VoxelKind {
 }
 
 impl VoxelKind {
-    /// The type in which numbers of a file are stored. Integers of 32 bits and more and double precision are rounded to single
-    /// precision.
+    /// The type in which numbers of a file are stored. Integers of 32 bits and more and double
+    /// precision are rounded to single precision.
     #[doc(hidden)]
     #[must_use]
     pub fn of(stored: Stored) -> Self {
@@ -74,7 +75,8 @@ impl VoxelKind {
         }
     }
 
-    /// Cells along an edge of a brick that is a cube; the additional voxel on either side is for gradients.
+    /// Cells along an edge of a brick that is a cube; the additional voxel on either side is for
+    /// gradients.
     #[must_use]
     pub fn brick_cells(self) -> u64 {
         self.brick_voxels() as u64 - 3
@@ -92,8 +94,8 @@ impl VoxelKind {
     }
 }
 
-/// Voxels along the edges of the bricks of a grid. They are cubes unless the grid is so thin that bricks of another shape need at
-/// most half as many pages.
+/// Voxels along the edges of the bricks of a grid. They are cubes unless the grid is so thin that
+/// bricks of another shape need at most half as many pages.
 pub fn brick_shape(size: [u64; 3], kind: VoxelKind) -> [u64; 3] {
     let cube = [kind.brick_voxels() as u64; 3];
     // A brick that reaches from end to end has two voxels beyond the grid.
@@ -138,16 +140,19 @@ pub struct GridHeader {
     pub scale: f64,
     /// See `scale`.
     pub offset: f64,
-    /// Transforms voxel coordinates (voxel centres at integers) to the space of the file that the grid was made from.
+    /// Transforms voxel coordinates (voxel centres at integers) to the space of the file that the
+    /// grid was made from.
     pub space_from_voxel: DAffine3,
     /// Size of the whole file in bytes.
     pub file_bytes: u64,
-    /// What its reader chose and knows of the volume ([`VolumeSource::about`](crate::grid::VolumeSource::about)), sorted.
+    /// What its reader chose and knows of the volume
+    /// ([`VolumeSource::about`](crate::grid::VolumeSource::about)), sorted.
     pub sources: Vec<String>,
-    /// The direction in the space of the file that is up, of length one; `None` if its format does not say.
+    /// The direction in the space of the file that is up, of length one; `None` if its format does
+    /// not say.
     pub up: Option<DVec3>,
-    /// The direction in which one looks at the front, of length one: a patient is seen from the front. `None` if the format
-    /// does not say.
+    /// The direction in which one looks at the front, of length one: a patient is seen from the
+    /// front. `None` if the format does not say.
     pub facing: Option<DVec3>,
     /// The values of its voxels, where they are few and whole.
     #[doc(hidden)]

@@ -1,11 +1,12 @@
-//! The values of voxels where they are few and whole, as of label maps: the section `LABL` of a grid file, with the names and
-//! colours that the input gives them.
+//! The values of voxels where they are few and whole, as of label maps: the section `LABL` of a
+//! grid file, with the names and colours that the input gives them.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-/// Most values that are counted. Of more, colours could not be told apart, and maps hold two stops for each.
+/// Most values that are counted. Of more, colours could not be told apart, and maps hold two stops
+/// for each.
 pub(super) const MOST_VALUES: usize = 2048;
 /// Longest name of a label that is kept, in characters.
 const MOST_NAME: usize = 64;
@@ -42,7 +43,8 @@ pub struct GridLabel {
 }
 
 impl GridLabels {
-    /// How many voxels follow each other along x with the same value, on average, without those of one value.
+    /// How many voxels follow each other along x with the same value, on average, without those of
+    /// one value.
     #[must_use]
     pub fn mean_run_without(&self, background: Option<f64>) -> f64 {
         let others = self.values.iter().filter(|label| Some(label.value) != background);

@@ -1,5 +1,5 @@
-//! Grid volumes on disk: voxels in bricks, one brick per page, with the value range of each; `docs/format.md` specifies the
-//! layout.
+//! Grid volumes on disk: voxels in bricks, one brick per page, with the value range of each;
+//! `docs/format.md` specifies the layout.
 
 pub mod build;
 mod census;

@@ -1,4 +1,5 @@
-//! The slices of voxels that a layer of bricks needs: in memory if they fit, otherwise in a temporary file.
+//! The slices of voxels that a layer of bricks needs: in memory if they fit, otherwise in a
+//! temporary file.
 
 use std::collections::VecDeque;
 use std::io;

@@ -25,12 +25,14 @@ pub struct VolumeSource {
     pub offset: f64,
     /// Transforms voxel coordinates (voxel centres at integers) to the space of the file.
     pub space_from_voxel: DAffine3,
-    /// The direction in the space of the file that is up: a patient's head. `None` if the format does not say.
+    /// The direction in the space of the file that is up: a patient's head. `None` if the format
+    /// does not say.
     pub up: Option<DVec3>,
-    /// The direction in the space of the file in which a viewer looks who sees the front: from a patient's chest to the
-    /// back. `None` if the format does not say.
+    /// The direction in the space of the file in which a viewer looks who sees the front: from a
+    /// patient's chest to the back. `None` if the format does not say.
     pub facing: Option<DVec3>,
-    /// Sentences about the choices of the reader: which of several arrays is read, what its values mean.
+    /// Sentences about the choices of the reader: which of several arrays is read, what its values
+    /// mean.
     pub about: Vec<String>,
     labels: NamedLabels,
     stored: Stored,
@@ -50,7 +52,8 @@ pub struct Voxels {
     pub path: PathBuf,
     /// Reads them, x fastest, as they are stored.
     pub data: Box<dyn Read + Send>,
-    /// Number of bytes that must follow the voxels in `data`: 0 if the voxels come last. `None` if anything may follow.
+    /// Number of bytes that must follow the voxels in `data`: 0 if the voxels come last. `None` if
+    /// anything may follow.
     pub rest: Option<u64>,
 }
 
@@ -76,7 +79,8 @@ pub struct Described {
 }
 
 impl Described {
-    /// Checks that a grid can be built from this. Returns the number of bytes of its voxels in the file.
+    /// Checks that a grid can be built from this. Returns the number of bytes of its voxels in the
+    /// file.
     pub fn check(&self, path: &Path) -> Result<u64, ReadError> {
         let bytes = self.size.iter().try_fold(self.stored.bytes() as u64, |all, n| all.checked_mul(*n));
         if self.size.iter().any(|n| !(2..=MOST_VOXELS).contains(n)) {
@@ -103,18 +107,20 @@ impl Described {
 }
 
 impl VolumeSource {
-    /// The files that are read: the one with the header, and the one with the voxels, which may be the same.
+    /// The files that are read: the one with the header, and the one with the voxels, which may be
+    /// the same.
     #[must_use]
     pub fn paths(&self) -> [&Path; 2] {
         [&self.header_path, &self.voxels.path]
     }
 
-    /// A volume whose voxels are read from anywhere: `size` along x, y and z, x fastest, little-endian, of one of the kinds that
-    /// grids store. `name` stands for its path in errors. Voxel centres are at integers, which `space_from_voxel` maps to the
-    /// space of the grid.
+    /// A volume whose voxels are read from anywhere: `size` along x, y and z, x fastest,
+    /// little-endian, of one of the kinds that grids store. `name` stands for its path in errors.
+    /// Voxel centres are at integers, which `space_from_voxel` maps to the space of the grid.
     ///
     /// # Errors
-    /// [`ReadError::Header`] if there are fewer than two voxels along an axis, or the transform flattens space.
+    /// [`ReadError::Header`] if there are fewer than two voxels along an axis, or the transform
+    /// flattens space.
     pub fn from_reader(
         name: &str,
         size: [u64; 3],
@@ -203,12 +209,13 @@ impl VolumeSource {
         }
     }
 
-    /// Fills a buffer with the next voxels, little-endian, in the type [`kind`](Self::kind). Infinities and NaN become 0.
-    /// After the last voxel, the end of the file and the checksums of compressed data are checked.
+    /// Fills a buffer with the next voxels, little-endian, in the type [`kind`](Self::kind).
+    /// Infinities and NaN become 0. After the last voxel, the end of the file and the checksums of
+    /// compressed data are checked.
     ///
     /// # Errors
-    /// [`ReadError::Data`] if the file ends early or late, is damaged, or has a finite number out of the range of single
-    /// precision.
+    /// [`ReadError::Data`] if the file ends early or late, is damaged, or has a finite number out
+    /// of the range of single precision.
     pub fn read(&mut self, voxels: &mut [u8]) -> Result<(), ReadError> {
         let (width, out_width) = (self.stored.bytes(), self.kind.bytes());
         let bytes = voxels.len() / out_width * width;
@@ -230,8 +237,8 @@ impl VolumeSource {
         if self.position == self.bytes { self.check_end() } else { Ok(()) }
     }
 
-    /// Checks that exactly the expected bytes follow the voxels. The decoders verify checksums at the end of compressed
-    /// data.
+    /// Checks that exactly the expected bytes follow the voxels. The decoders verify checksums at
+    /// the end of compressed data.
     fn check_end(&mut self) -> Result<(), ReadError> {
         let Some(rest) = self.voxels.rest else { return Ok(()) };
         let found = io::copy(&mut (&mut self.voxels.data).take(rest.saturating_add(1)), &mut io::sink());

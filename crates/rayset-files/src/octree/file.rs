@@ -1,4 +1,5 @@
-//! Opening a cloud: header, footer, length and descriptions are checked here; pages are checked when they are read.
+//! Opening a cloud: header, footer, length and descriptions are checked here; pages are checked
+//! when they are read.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -75,7 +76,8 @@ impl HasPages for Cloud {
 }
 
 impl Cloud {
-    /// Opens a cloud and checks its header, its length, its descriptions and its footer. The path may be an address
+    /// Opens a cloud and checks its header, its length, its descriptions and its footer. The path
+    /// may be an address
     /// ([`storage::open_addresses_with`](rayset_store::storage::open_addresses_with)).
     ///
     /// # Errors
@@ -84,7 +86,8 @@ impl Cloud {
         PagedFile::open(path.as_ref()).map(Self::of)
     }
 
-    /// Opens a cloud whose bytes are in memory, for example those of a file that was read. They are used in place.
+    /// Opens a cloud whose bytes are in memory, for example those of a file that was read. They are
+    /// used in place.
     ///
     /// # Errors
     /// [`OpenError`] if they are not a complete cloud of this version.
@@ -92,8 +95,8 @@ impl Cloud {
         PagedFile::from_bytes(bytes.into()).map(Self::of)
     }
 
-    /// Opens a cloud whose bytes are read from any storage; `name` is for messages. The bytes must not change while the
-    /// cloud is open.
+    /// Opens a cloud whose bytes are read from any storage; `name` is for messages. The bytes must
+    /// not change while the cloud is open.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -105,8 +108,8 @@ impl Cloud {
         Self { file, stored: None }
     }
 
-    /// The same cloud with its points' radii multiplied by a factor. Both have the same pages in memory. `None` if the factor is not
-    /// above 0, or a radius is then not from 1e-18 to 1e18.
+    /// The same cloud with its points' radii multiplied by a factor. Both have the same pages in
+    /// memory. `None` if the factor is not above 0, or a radius is then not from 1e-18 to 1e18.
     #[must_use]
     pub fn with_radius_scale(self: &Arc<Self>, factor: f32) -> Option<Self> {
         let stored = self.stored();
@@ -134,7 +137,8 @@ impl Cloud {
         self.stored.as_ref().unwrap_or(self)
     }
 
-    /// The storage that its pages are read from; `None` for a file on disk, which is opened by its path.
+    /// The storage that its pages are read from; `None` for a file on disk, which is opened by its
+    /// path.
     #[doc(hidden)]
     #[must_use]
     pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
@@ -147,8 +151,8 @@ impl Cloud {
         &self.file.path
     }
 
-    /// What opens it again: its path or address, with the query of a signed one, which grants access and is not to be shown; the
-    /// name of the storage else.
+    /// What opens it again: its path or address, with the query of a signed one, which grants
+    /// access and is not to be shown; the name of the storage else.
     #[must_use]
     pub fn address(&self) -> &Path {
         &self.file.address

@@ -1,6 +1,8 @@
-//! The metadata of a cloud file, as [`Header`]: the sections `CLOU` (numbers), `COLS` (columns) and `META` (text).
+//! The metadata of a cloud file, as [`Header`]: the sections `CLOU` (numbers), `COLS` (columns) and
+//! `META` (text).
 //!
-//! `docs/format.md` describes the same tables in prose. The surrounding container format is in [`rayset_store::container`].
+//! `docs/format.md` describes the same tables in prose. The surrounding container format is in
+//! [`rayset_store::container`].
 
 use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell, nodes_per_page};
 use crate::points::ColumnType;
@@ -17,7 +19,8 @@ pub const MAX_ATTRIBUTES: usize = 32;
 /// Largest length of an attribute's name, and of its unit, in bytes.
 pub const NAME_BYTES: usize = 64;
 
-/// Limits on the radii and weights in a file, slightly wider than those of [`super::build`] because values are rounded.
+/// Limits on the radii and weights in a file, slightly wider than those of [`super::build`] because
+/// values are rounded.
 const LARGEST: f32 = 1.000_001e18;
 const LEAST_RADIUS: f32 = 0.999_999e-18;
 
@@ -121,8 +124,8 @@ pub struct Header {
     pub radius: Column,
     /// Mean radius.
     pub radius_mean: f64,
-    /// Radii are those that are stored, times this: 1, unless [`Cloud::with_radius_scale`](crate::Cloud::with_radius_scale) made it
-    /// another.
+    /// Radii are those that are stored, times this: 1, unless
+    /// [`Cloud::with_radius_scale`](crate::Cloud::with_radius_scale) made it another.
     pub radius_scale: f32,
     /// Weight.
     pub weight: Column,
@@ -142,10 +145,11 @@ pub struct Header {
     pub crs: String,
     /// Descriptions of the sources, sorted.
     pub sources: Vec<String>,
-    /// The direction that is up by the custom of the sources, of length one; `None` if they have none, or differ.
+    /// The direction that is up by the custom of the sources, of length one; `None` if they have
+    /// none, or differ.
     pub up: Option<DVec3>,
-    /// The step of the coordinates of the sources along each axis, the largest of several: no digits below it are known. `None` if
-    /// they do not say.
+    /// The step of the coordinates of the sources along each axis, the largest of several: no
+    /// digits below it are known. `None` if they do not say.
     pub step: Option<[f64; 3]>,
     /// The layout of the columns of a run, derived from the columns.
     #[doc(hidden)]
@@ -169,8 +173,8 @@ const STORED: u8 = 1;
 const CLASSES: u8 = 2;
 
 impl Header {
-    /// The number of the attribute that a name stands for: a stored one by its index, otherwise a coordinate, `x`, `y`,
-    /// and `z` or `height`, by its axis and the number of stored attributes.
+    /// The number of the attribute that a name stands for: a stored one by its index, otherwise a
+    /// coordinate, `x`, `y`, and `z` or `height`, by its axis and the number of stored attributes.
     #[must_use]
     pub fn attribute_number(&self, name: &str) -> Option<usize> {
         let axis = || match name {
@@ -183,7 +187,8 @@ impl Header {
         stored.or_else(|| axis().map(|axis| self.attributes.len() + axis))
     }
 
-    /// The least and the greatest value of the attribute with this [number](Self::attribute_number).
+    /// The least and the greatest value of the attribute with this
+    /// [number](Self::attribute_number).
     ///
     /// Panics if there is none of this number.
     #[must_use]
@@ -355,7 +360,8 @@ impl Header {
             let role = *Role::ALL.get(usize::from(role)).ok_or("a column for an unknown purpose")?;
             let kind = *ColumnType::ALL.get(usize::from(kind)).ok_or("a column of an unknown type")?;
             let is_stored = flags & STORED != 0;
-            // The columns of a run are stored in this order, and the code that locates them relies on it.
+            // The columns of a run are stored in this order, and the code that locates them relies
+            // on it.
             if seen.is_some_and(|before| {
                 before as u8 > role as u8 || (before == role && role != Role::Attribute)
             }) {
@@ -415,7 +421,8 @@ impl Header {
         if self.points > 0 && self.root.page >= self.node_pages {
             return Err("the root is in no node page");
         }
-        // The cost of traversing the tree is bounded by these numbers, so they must not exceed what the pages can hold.
+        // The cost of traversing the tree is bounded by these numbers, so they must not exceed what
+        // the pages can hold.
         let runs_in_page = (self.page_bytes as usize - PAGE_HEAD_BYTES) / RUN_HEAD_BYTES;
         if self.points > u64::from(self.point_pages) * (runs_in_page * RUN_POINTS) as u64 {
             return Err("more points than the pages can hold");

@@ -1,5 +1,5 @@
-//! Sizes and limits of the contents of pages: runs and their columns, nodes, and the root cell to which positions are
-//! relative.
+//! Sizes and limits of the contents of pages: runs and their columns, nodes, and the root cell to
+//! which positions are relative.
 
 use rayset_base::geometry::DVec3;
 use rayset_base::geometry::curve::MAX_LEVEL;
@@ -32,7 +32,8 @@ pub struct RootCell {
     pub size: f64,
 }
 
-/// The layout of the columns of a run, which follow its positions. Every column is padded to a multiple of four bytes.
+/// The layout of the columns of a run, which follow its positions. Every column is padded to a
+/// multiple of four bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ColumnLayout {
     /// Bytes per point in columns of four and eight bytes per value, which need no padding.
@@ -70,8 +71,8 @@ pub fn nodes_per_page(page_bytes: usize) -> usize {
     (page_bytes - PAGE_HEAD_BYTES) / NODE_BYTES
 }
 
-/// Smallest page size in bytes for `layout`: that of a page with one run of the largest size, in the widest encoding of
-/// positions.
+/// Smallest page size in bytes for `layout`: that of a page with one run of the largest size, in
+/// the widest encoding of positions.
 #[must_use]
 pub fn least_page_bytes(layout: ColumnLayout) -> usize {
     let run = RUN_POINTS * 24 + layout.run_bytes(RUN_POINTS);

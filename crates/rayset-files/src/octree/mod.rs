@@ -1,7 +1,9 @@
-//! A cloud on disk: a loose octree and its pages, in one checked file, and the builder that makes it.
+//! A cloud on disk: a loose octree and its pages, in one checked file, and the builder that makes
+//! it.
 //!
-//! [`mod@format`] and [`page`] encode and decode bytes and do no input or output; [`mod@file`] opens and checks a file;
-//! [`build`] makes one from points, in bounded memory. The layout is described byte by byte in `docs/format.md`.
+//! [`mod@format`] and [`page`] encode and decode bytes and do no input or output; [`mod@file`]
+//! opens and checks a file; [`build`] makes one from points, in bounded memory. The layout is
+//! described byte by byte in `docs/format.md`.
 
 pub mod build;
 pub mod file;

@@ -1,5 +1,5 @@
-//! Looking a place up in a cloud's file: its nearest point, and where in space its pages lie. Pages are read one at a time, besides
-//! those of any session.
+//! Looking a place up in a cloud's file: its nearest point, and where in space its pages lie. Pages
+//! are read one at a time, besides those of any session.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -17,8 +17,8 @@ use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{OpenFile, PageError, ScanError, SectionKind};
 
 impl Cloud {
-    /// The point whose centre is nearest to a place, with its columns as [`sample`](Self::sample) has them; an empty batch if none
-    /// is within a distance. Of equally near ones, any.
+    /// The point whose centre is nearest to a place, with its columns as [`sample`](Self::sample)
+    /// has them; an empty batch if none is within a distance. Of equally near ones, any.
     ///
     /// # Errors
     /// [`ScanError`] if a page cannot be read or is damaged.
@@ -41,8 +41,8 @@ impl Cloud {
         ScanError::Damaged { path, page, offset, source }
     }
 
-    /// The point pages in at most `most` groups of neighbours, each with the bounds of what its points influence. Reads all pages
-    /// of nodes.
+    /// The point pages in at most `most` groups of neighbours, each with the bounds of what its
+    /// points influence. Reads all pages of nodes.
     ///
     /// # Errors
     /// [`ScanError`] if a page cannot be read or is damaged.
@@ -78,7 +78,8 @@ struct Group {
     of_leaves: Aabb,
     /// Of nodes with children, which reach far beyond their own points.
     of_others: Aabb,
-    /// Whether points of a node begin where the group does; else those of the last node before it go on here.
+    /// Whether points of a node begin where the group does; else those of the last node before it
+    /// go on here.
     has_a_beginning: bool,
     /// The page and run at which the last node's points begin, and its bounds.
     last: Option<((u32, u16), Aabb)>,

@@ -1,4 +1,5 @@
-//! Node records: tight bounds of influence, the data for level of detail, and the places of children and points.
+//! Node records: tight bounds of influence, the data for level of detail, and the places of
+//! children and points.
 
 use super::format::Header;
 use super::layout::{DEEPEST_LEVEL, NODE_BYTES, NodeRef, RootCell, nodes_per_page};
@@ -19,7 +20,8 @@ pub struct RunRange {
 /// One node of the loose octree.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Node {
-    /// Bounds of influence of all points at and below the node, in units of the root cell, rounded outward.
+    /// Bounds of influence of all points at and below the node, in units of the root cell, rounded
+    /// outward.
     pub bounds_min: [f32; 3],
     /// See `bounds_min`.
     pub bounds_max: [f32; 3],
@@ -27,7 +29,8 @@ pub struct Node {
     pub points: u64,
     /// Sum of their weights.
     pub weight_sum: f64,
-    /// Their mean position, weighted by the absolute values of their weights, in units of the root cell.
+    /// Their mean position, weighted by the absolute values of their weights, in units of the root
+    /// cell.
     pub centroid: [f32; 3],
     /// Smallest radius at and below the node.
     pub radius_min: f32,
@@ -57,7 +60,8 @@ impl Node {
         u16::from(self.level) == u16::from(parent.level) + 1
     }
 
-    /// The node of points whose radii are multiplied by a factor above 0. Its bounds hold them, and are not always tight.
+    /// The node of points whose radii are multiplied by a factor above 0. Its bounds hold them, and
+    /// are not always tight.
     fn with_radii_scaled(self, factor: f32, root_size: f64) -> Self {
         let margin = (f64::from(factor) - 1.0).max(0.0) * f64::from(self.radius_max) / root_size;
         // Records of a damaged file may be beyond what its header says.
@@ -131,8 +135,8 @@ pub struct NodePage<'a> {
 }
 
 impl<'a> NodePage<'a> {
-    /// Checks a page: its head, and that every record refers to existing pages, and only to nodes stored before it, so that
-    /// there are no cycles.
+    /// Checks a page: its head, and that every record refers to existing pages, and only to nodes
+    /// stored before it, so that there are no cycles.
     ///
     /// # Errors
     /// [`PageError`], which says what is wrong.
@@ -184,7 +188,8 @@ impl<'a> NodePage<'a> {
         Self { bytes, nodes, scale: (1.0, 1.0) }
     }
 
-    /// As [`trusted`](Self::trusted), with radii, and the bounds that follow from them, as the header of a cloud scales them.
+    /// As [`trusted`](Self::trusted), with radii, and the bounds that follow from them, as the
+    /// header of a cloud scales them.
     #[must_use]
     pub fn scaled(bytes: &'a [u8], header: &Header) -> Self {
         Self { scale: (header.radius_scale, header.root_size), ..Self::trusted(bytes) }

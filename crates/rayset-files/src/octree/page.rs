@@ -1,7 +1,7 @@
 //! Point pages: runs of at most 128 points, each with its own frame, tight bounds and columns.
 //!
-//! A run stores positions as offsets from its own corner, in steps that are a power of two, so that decoding to
-//! coordinates about the run's centre is exact in `f32` for the usual 16-bit encoding.
+//! A run stores positions as offsets from its own corner, in steps that are a power of two, so that
+//! decoding to coordinates about the run's centre is exact in `f32` for the usual 16-bit encoding.
 
 use super::format::Header;
 use super::layout::{ColumnLayout, RUN_HEAD_BYTES, RUN_POINTS, RootCell};
@@ -60,7 +60,8 @@ impl Encoding {
 pub struct RunHead {
     /// Corner, in units of the root cell's edge / 2²⁴.
     origin: [u32; 3],
-    /// Edge lengths of the position bounds, in units of 2⁸ steps (2²⁴ for the 32-bit encoding), rounded up.
+    /// Edge lengths of the position bounds, in units of 2⁸ steps (2²⁴ for the 32-bit encoding),
+    /// rounded up.
     extent: [u8; 3],
     radius_max: u16,
     count: u8,
@@ -70,7 +71,8 @@ pub struct RunHead {
     offset_words: u16,
 }
 
-/// 2^−(COARSEST_STEP + code), constructed from its bits because it is needed for every run near a ray.
+/// 2^−(COARSEST_STEP + code), constructed from its bits because it is needed for every run near a
+/// ray.
 fn step_fraction(code: u8) -> f64 {
     f64::from_bits((1023 - COARSEST_STEP as u64 - u64::from(code)) << 52)
 }
@@ -194,8 +196,8 @@ pub struct EncodedRun {
 
 /// Encodes a run, appending its data to `data`.
 ///
-/// `precision` is the largest position error allowed, as a fraction of the smallest radius of the run; with zero, positions
-/// are stored exactly.
+/// `precision` is the largest position error allowed, as a fraction of the smallest radius of the
+/// run; with zero, positions are stored exactly.
 pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &mut Vec<u8>) -> EncodedRun {
     let mut bounds = Aabb::EMPTY;
     run.position.iter().for_each(|p| bounds.include(DVec3::from_array(*p)));
@@ -207,7 +209,8 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     let radius_min = f64::from(run.radius.iter().copied().fold(f32::INFINITY, f32::min));
     let radius_max = run.radius.iter().copied().fold(0.0, f32::max);
 
-    // For each encoding, the finest step whose largest offset fits; of the encodings, the smallest that is precise enough.
+    // For each encoding, the finest step whose largest offset fits; of the encodings, the smallest
+    // that is precise enough.
     let finest = |steps: f64| step_code_for(extent.max_element() / steps, root.size);
     let step = |code: u8| root.size * step_fraction(code);
     let worst_error = |code: u8| 0.5 * 3_f64.sqrt() * step(code);
@@ -258,7 +261,8 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
         data.resize(start + (data.len() - start).next_multiple_of(4), 0);
     }
 
-    // Rounded offsets may exceed the exact extent by half a step, so the stored extent is rounded up.
+    // Rounded offsets may exceed the exact extent by half a step, so the stored extent is rounded
+    // up.
     let extent = (extent / unit + 0.5 / encoding.extent_steps()).ceil().min(DVec3::splat(255.0));
     let head = RunHead {
         origin: origin.to_array().map(|v| v as u32),
@@ -412,12 +416,13 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Decodes coordinates relative to the centre of the run's position bounds, in `f32`, into the first `len` elements of
-    /// `out`.
+    /// Decodes coordinates relative to the centre of the run's position bounds, in `f32`, into the
+    /// first `len` elements of `out`.
     #[inline(always)]
     pub fn decode_local(&self, root: RootCell, out: &mut [[f32; RUN_POINTS]; 3]) {
         if self.head.encoding == Encoding::U16 {
-            // Exact: a 16-bit integer minus half of one needs at most 17 bits, and the step is a power of two.
+            // Exact: a 16-bit integer minus half of one needs at most 17 bits, and the step is a
+            // power of two.
             let n = self.head.len();
             let step = self.head.step(root) as f32;
             for axis in 0..3 {
@@ -481,7 +486,8 @@ impl<'a> Run<'a> {
         self.attribute_bytes(header, index).chunks_exact(kind.bytes()).map(move |b| kind.decode(b) as f32)
     }
 
-    /// The bytes of an attribute column, by its index in the header: values of its own type, little-endian.
+    /// The bytes of an attribute column, by its index in the header: values of its own type,
+    /// little-endian.
     #[must_use]
     pub fn attribute_bytes(&self, header: &Header, index: usize) -> &'a [u8] {
         let n = self.head.len();

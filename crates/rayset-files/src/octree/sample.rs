@@ -1,4 +1,5 @@
-//! A few points of a cloud, evenly spaced along its file: enough to know what it looks like, whatever its size.
+//! A few points of a cloud, evenly spaced along its file: enough to know what it looks like,
+//! whatever its size.
 
 use super::file::Cloud;
 use super::page::{PointPage, Run};
@@ -9,15 +10,18 @@ use rayset_store::container::{ScanError, SectionKind};
 /// Most pages that are read for a sample.
 const MOST_PAGES: u64 = 256;
 
-/// Columns of a sample before the attributes: radius, weight, and the three colours if there are any.
+/// Columns of a sample before the attributes: radius, weight, and the three colours if there are
+/// any.
 const OWN: [&str; 5] = ["radius", "weight", "red", "green", "blue"];
 
 impl Cloud {
-    /// About `most` points, or all if there are fewer, from pages evenly spaced along the file; pages follow a curve
-    /// through space, so the points are spread over the whole cloud. A function of the file alone.
+    /// About `most` points, or all if there are fewer, from pages evenly spaced along the file;
+    /// pages follow a curve through space, so the points are spread over the whole cloud. A
+    /// function of the file alone.
     ///
-    /// The columns are `radius`, `weight`, `red`, `green` and `blue` (0 to 255) if the cloud has colours, and all stored
-    /// attributes in their order, as [`sample_schema`](Self::sample_schema) says.
+    /// The columns are `radius`, `weight`, `red`, `green` and `blue` (0 to 255) if the cloud has
+    /// colours, and all stored attributes in their order, as [`sample_schema`](Self::sample_schema)
+    /// says.
     ///
     /// # Errors
     /// [`ScanError`] if a page cannot be read or is damaged.
@@ -55,8 +59,8 @@ impl Cloud {
         batch
     }
 
-    /// Of the points of those pages that [`sample`](Self::sample) reads, every how many it has: by what the density of a
-    /// sample has to be multiplied.
+    /// Of the points of those pages that [`sample`](Self::sample) reads, every how many it has: by
+    /// what the density of a sample has to be multiplied.
     #[must_use]
     pub fn sample_stride(&self, most: usize) -> u64 {
         let (pages, points) = (u64::from(self.header().point_pages).max(1), self.header().points);
@@ -82,7 +86,8 @@ impl Cloud {
         Schema::new(columns, ColorDepth::Byte)
     }
 
-    /// Adds some of a run's points to a batch with the columns of [`sample_schema`](Self::sample_schema).
+    /// Adds some of a run's points to a batch with the columns of
+    /// [`sample_schema`](Self::sample_schema).
     pub(super) fn take(&self, run: &Run<'_>, chosen: &[usize], batch: &mut PointBatch) {
         let header = self.header();
         if chosen.is_empty() {

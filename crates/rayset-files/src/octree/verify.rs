@@ -1,4 +1,5 @@
-//! Verifying a whole file: every checksum and record, and every bound and total that rendering relies on.
+//! Verifying a whole file: every checksum and record, and every bound and total that rendering
+//! relies on.
 
 use super::file::Cloud;
 use super::format::Header;
@@ -71,8 +72,8 @@ pub enum VerifyError {
 }
 
 impl Cloud {
-    /// Verifies the file to the given depth. Holds one page at a time, and with [`Depth::Deep`] also all nodes and a summary
-    /// of each run.
+    /// Verifies the file to the given depth. Holds one page at a time, and with [`Depth::Deep`]
+    /// also all nodes and a summary of each run.
     ///
     /// # Errors
     /// [`VerifyError`] for the first thing that is wrong.
@@ -81,7 +82,8 @@ impl Cloud {
     }
 }
 
-/// Verifies an open cloud. Holds one page at a time, and with [`Depth::Deep`] also all nodes and a summary of each run.
+/// Verifies an open cloud. Holds one page at a time, and with [`Depth::Deep`] also all nodes and a
+/// summary of each run.
 ///
 /// # Errors
 /// [`VerifyError`] for the first thing that is wrong.
@@ -147,7 +149,8 @@ fn check_header(header: &Header, root: &RunFacts, nodes: u64) -> Result<(), &'st
     Ok(())
 }
 
-/// Bound on the rounding error of a position, which is the sum of a place in the root cell and an offset, in world space.
+/// Bound on the rounding error of a position, which is the sum of a place in the root cell and an
+/// offset, in world space.
 fn rounding(header: &Header) -> f64 {
     4.0 * f64::EPSILON * (header.root_min.abs().max_element() + header.root_size)
 }
@@ -231,8 +234,9 @@ struct Facts<'a> {
 }
 
 impl Facts<'_> {
-    /// Checks a node and everything below it; returns the facts about its points. Levels increase up to the deepest one, and
-    /// no node is visited twice, so this takes at most as many steps as there are nodes.
+    /// Checks a node and everything below it; returns the facts about its points. Levels increase
+    /// up to the deepest one, and no node is visited twice, so this takes at most as many steps as
+    /// there are nodes.
     fn check(&mut self, place: NodeRef, report: &mut VerifyReport) -> Result<RunFacts, VerifyError> {
         let wrong = |what| VerifyError::Node { page: place.page, index: place.index, what };
         let node = self.nodes.get(place.page as usize).and_then(|p| p.get(usize::from(place.index)));

@@ -1,8 +1,9 @@
-//! Walking an octree: the one loop over its nodes. Who walks says which nodes come in which order, what is opened, and where the
-//! walk ends ([`Visitor`]), and from where records of nodes are read ([`NodePages`]).
+//! Walking an octree: the one loop over its nodes. Who walks says which nodes come in which order,
+//! what is opened, and where the walk ends ([`Visitor`]), and from where records of nodes are read
+//! ([`NodePages`]).
 //!
-//! A file whose checksums hold may still contradict itself. No walk meets more nodes or runs than the file has, so it ends, whatever
-//! the records say.
+//! A file whose checksums hold may still contradict itself. No walk meets more nodes or runs than
+//! the file has, so it ends, whatever the records say.
 
 use std::ops::Deref;
 
@@ -20,13 +21,15 @@ pub trait NodePages {
     /// What the file says.
     fn header(&self) -> &Header;
 
-    /// A page, counted from the first of those with nodes, checked; `None` if the walk is to go on without the nodes in it.
+    /// A page, counted from the first of those with nodes, checked; `None` if the walk is to go on
+    /// without the nodes in it.
     ///
     /// # Errors
     /// If it cannot be read.
     fn page(&mut self, page: u32) -> Result<Option<Self::Page>, Self::Error>;
 
-    /// Called for a page whose records make no tree. If this is no error, the walk goes on without them.
+    /// Called for a page whose records make no tree. If this is no error, the walk goes on without
+    /// them.
     ///
     /// # Errors
     /// What is wrong with the file.
@@ -116,8 +119,8 @@ impl Walk {
         Ok(())
     }
 
-    /// Counts a node's own runs, which are about to be looked at; false if no file has so many, for each belongs to one node and has
-    /// at least one point.
+    /// Counts a node's own runs, which are about to be looked at; false if no file has so many, for
+    /// each belongs to one node and has at least one point.
     #[must_use]
     pub fn may_look_at_runs_of(&mut self, node: &Node, header: &Header) -> bool {
         self.runs = self.runs.saturating_add(u64::from(node.own.runs));

@@ -12,7 +12,8 @@ pub struct ArraySource {
 }
 
 impl ArraySource {
-    /// Points with named columns, each as long as the positions. Colours are `red`, `green` and `blue`, from 0 to 1.
+    /// Points with named columns, each as long as the positions. Colours are `red`, `green` and
+    /// `blue`, from 0 to 1.
     ///
     /// Panics if a column is shorter or longer than the positions.
     #[must_use]
@@ -26,8 +27,8 @@ impl ArraySource {
 
     /// Points with columns of any type, each as long as the positions.
     ///
-    /// Panics if a column is shorter or longer than the positions, or if its values are not of the type that its description
-    /// states.
+    /// Panics if a column is shorter or longer than the positions, or if its values are not of the
+    /// type that its description states.
     #[must_use]
     pub fn typed(position: Vec<[f64; 3]>, columns: Vec<(ColumnInfo, Values)>) -> Self {
         for (info, values) in &columns {

@@ -1,4 +1,5 @@
-//! Columns of numbers in the types that files use, so that times, classes and identifiers are kept exactly.
+//! Columns of numbers in the types that files use, so that times, classes and identifiers are kept
+//! exactly.
 
 use rayset_base::bytes_of;
 use rayset_base::numbers::Stored;
@@ -45,7 +46,8 @@ impl ColumnType {
         Self::F64,
     ];
 
-    /// The type of a column of numbers of a file: that of the numbers, but single precision for half precision.
+    /// The type of a column of numbers of a file: that of the numbers, but single precision for
+    /// half precision.
     #[doc(hidden)]
     pub fn of(stored: Stored) -> Self {
         match stored {
@@ -106,8 +108,9 @@ impl ColumnType {
         matches!(self, Self::I8 | Self::I16 | Self::I32 | Self::I64)
     }
 
-    /// The smallest type that holds every value of both exactly. If there is none (for 64-bit integers with floats, and for
-    /// [`U64`](Self::U64) with signed integers), [`F64`](Self::F64), which is exact for integers up to 2⁵³.
+    /// The smallest type that holds every value of both exactly. If there is none (for 64-bit
+    /// integers with floats, and for [`U64`](Self::U64) with signed integers), [`F64`](Self::F64),
+    /// which is exact for integers up to 2⁵³.
     #[must_use]
     pub fn common(self, other: Self) -> Self {
         if self == other {
@@ -138,8 +141,8 @@ impl ColumnType {
         }
     }
 
-    /// Decodes a value from the first [`bytes`](Self::bytes) of `bytes`, in little-endian order. 64-bit integers beyond 2⁵³
-    /// are rounded.
+    /// Decodes a value from the first [`bytes`](Self::bytes) of `bytes`, in little-endian order.
+    /// 64-bit integers beyond 2⁵³ are rounded.
     ///
     /// Panics if `bytes` is shorter.
     #[must_use]
@@ -323,7 +326,8 @@ impl Values {
         each!(self, v => v.clear());
     }
 
-    /// Number `index` as `f64`; 64-bit integers beyond 2⁵³ are rounded. Panics if `index` is out of range.
+    /// Number `index` as `f64`; 64-bit integers beyond 2⁵³ are rounded. Panics if `index` is out of
+    /// range.
     #[must_use]
     #[inline]
     pub fn get(&self, index: usize) -> f64 {
@@ -333,8 +337,8 @@ impl Values {
         }
     }
 
-    /// Appends a number, converted as by `as`: for integers, it is truncated and clamped to the range of the type, and NaN
-    /// becomes 0.
+    /// Appends a number, converted as by `as`: for integers, it is truncated and clamped to the
+    /// range of the type, and NaN becomes 0.
     #[inline]
     pub fn push(&mut self, value: f64) {
         each!(self, v => v.push(value as _));
@@ -389,8 +393,9 @@ impl Values {
         same!(U8, I8, U16, I16, U32, I32, U64, I64, F32, F64);
     }
 
-    /// Appends number `index`, as a value of type `kind`, to `out` in little-endian order. The conversion is as exact as
-    /// [`common`](ColumnType::common) states if `kind` is the common type of this type and others.
+    /// Appends number `index`, as a value of type `kind`, to `out` in little-endian order. The
+    /// conversion is as exact as [`common`](ColumnType::common) states if `kind` is the common type
+    /// of this type and others.
     #[inline]
     pub fn write_as(&self, index: usize, kind: ColumnType, out: &mut Vec<u8>) {
         if kind == self.kind() {

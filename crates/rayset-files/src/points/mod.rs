@@ -1,4 +1,5 @@
-//! Points as builds take them: a [`PointSource`] delivers them in batches. Readers of formats are in `rayset-formats`.
+//! Points as builds take them: a [`PointSource`] delivers them in batches. Readers of formats are
+//! in `rayset-formats`.
 
 mod array;
 mod column;

@@ -1,7 +1,7 @@
 //! The roles of columns by their names: axes, colours, classes.
 //!
-//! An exact name takes precedence over an alias: `x` is the axis even if there is an `easting`, and in a file with `red`
-//! nothing else is red. If no name matches exactly, case is ignored.
+//! An exact name takes precedence over an alias: `x` is the axis even if there is an `easting`, and
+//! in a file with `red` nothing else is red. If no name matches exactly, case is ignored.
 
 use super::ColumnInfo;
 
@@ -80,15 +80,16 @@ pub fn is_longitude(name: &str) -> bool {
     ["longitude", "lon", "lng", "long"].contains(&bare.as_str())
 }
 
-/// The roles `red`, `green` and `blue`, with the columns that have them under other names. Empty if any column is called
-/// `red`, `green` or `blue`.
+/// The roles `red`, `green` and `blue`, with the columns that have them under other names. Empty if
+/// any column is called `red`, `green` or `blue`.
 pub fn colors(columns: &[ColumnInfo]) -> Vec<(String, usize)> {
     let names: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
     let found = color_places(&names);
     found.map_or_else(Vec::new, |found| COLORS.iter().map(|c| (*c).to_owned()).zip(found).collect())
 }
 
-/// The places of three colours that have other names than `red`, `green` and `blue`. `None` if any column is called so.
+/// The places of three colours that have other names than `red`, `green` and `blue`. `None` if any
+/// column is called so.
 pub fn color_places(names: &[&str]) -> Option<[usize; 3]> {
     let find = |name: &str| place(names, name);
     if COLORS.iter().any(|name| find(name).is_some()) {
@@ -97,8 +98,8 @@ pub fn color_places(names: &[&str]) -> Option<[usize; 3]> {
     COLOR_ALIASES.iter().find_map(|[r, g, b]| Some([find(r)?, find(g)?, find(b)?]))
 }
 
-/// The column that `name` refers to: the one of that name, otherwise the one with that role, otherwise the one of that name
-/// ignoring case.
+/// The column that `name` refers to: the one of that name, otherwise the one with that role,
+/// otherwise the one of that name ignoring case.
 pub fn find(columns: &[ColumnInfo], roles: &[(String, usize)], name: &str) -> Option<usize> {
     let exact = columns.iter().position(|c| c.name == name);
     exact
@@ -162,7 +163,8 @@ pub fn may_be_positions(name: &str) -> bool {
 const VECTORS_OF_COLORS: [&str; 9] =
     ["rgb", "rgba", "color", "colors", "colour", "colours", "point_colors", "rgbs", "vertex_colors"];
 
-/// The columns that `count` numbers with one name become. Positions and colours have names of their own.
+/// The columns that `count` numbers with one name become. Positions and colours have names of their
+/// own.
 pub fn components(name: &str, count: usize) -> Vec<String> {
     let lower = name.to_ascii_lowercase();
     let of = |names: &[&str]| names.iter().take(count).map(|n| (*n).to_owned()).collect();
@@ -173,7 +175,8 @@ pub fn components(name: &str, count: usize) -> Vec<String> {
     }
 }
 
-/// The columns that `count` numbers with one name become: `v`, or `v_x`, `v_y` and `v_z`, or `v_0`, `v_1` and so on.
+/// The columns that `count` numbers with one name become: `v`, or `v_x`, `v_y` and `v_z`, or `v_0`,
+/// `v_1` and so on.
 pub fn plain_components(name: &str, count: usize) -> Vec<String> {
     match count {
         1 => vec![name.to_owned()],

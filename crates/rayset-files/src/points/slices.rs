@@ -29,7 +29,8 @@ macro_rules! column_slice {
             fn append_to(&self, to: &mut Values, range: Range<usize>) {
                 match (self, to) {
                     $((Self::$kind(from), Values::$kind(to)) => to.extend_from_slice(&from[range]),)*
-                    // The columns of a batch have the types of the schema, which are those of the slices.
+                    // The columns of a batch have the types of the schema, which are those of the
+                    // slices.
                     (from, to) => debug_assert_eq!(from.kind(), to.kind()),
                 }
             }
@@ -116,7 +117,8 @@ pub struct ColumnLengthError {
     pub expected: usize,
 }
 
-/// Points in slices: positions, and columns of any type and name. The slices are borrowed and read in place.
+/// Points in slices: positions, and columns of any type and name. The slices are borrowed and read
+/// in place.
 ///
 /// ```
 /// # extern crate rayset_files as rayset;
@@ -124,7 +126,8 @@ pub struct ColumnLengthError {
 ///
 /// let positions = vec![[0.0_f64, 0.0, 0.0], [1.0, 0.0, 0.0]];
 /// let temperature = vec![280_i16, 295];
-/// let source = SliceSource::new(&positions).radius(&vec![0.5_f32, 0.6])?.attribute("T", &temperature)?;
+/// let radius = vec![0.5_f32, 0.6];
+/// let source = SliceSource::new(&positions).radius(&radius)?.attribute("T", &temperature)?;
 /// # Ok::<(), rayset::points::ColumnLengthError>(())
 /// ```
 #[derive(Clone, Debug)]
@@ -180,8 +183,9 @@ impl<'a> SliceSource<'a> {
         Ok(self)
     }
 
-    /// Adds a further column, which [`BuildOptions::attributes`](crate::octree::build::BuildOptions::attributes) can keep
-    /// under its name.
+    /// Adds a further column, which
+    /// [`BuildOptions::attributes`](crate::octree::build::BuildOptions::attributes) can keep under
+    /// its name.
     ///
     /// # Errors
     /// [`ColumnLengthError`].

@@ -1,7 +1,8 @@
-//! Generated clouds: the standard workloads of tests, benchmarks and documents, and some decorative ones.
+//! Generated clouds: the standard workloads of tests, benchmarks and documents, and some decorative
+//! ones.
 //!
-//! Random numbers are splitmix64 from state 42, u = (next >> 40) / 2²⁴ in draw order, so that the points can be reproduced
-//! elsewhere.
+//! Random numbers are splitmix64 from state 42, u = (next >> 40) / 2²⁴ in draw order, so that the
+//! points can be reproduced elsewhere.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -32,7 +33,8 @@ impl Shape {
     }
 }
 
-/// A generated cloud: `sphere-100k`, `cube-1m`, `knot-2m`, `galaxy-500k`, with any number of points.
+/// A generated cloud: `sphere-100k`, `cube-1m`, `knot-2m`, `galaxy-500k`, with any number of
+/// points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Workload {
     shape: Shape,
@@ -220,9 +222,9 @@ fn knot(random: &mut SplitMix, points: u64) -> ([f64; 3], [f64; 5]) {
     let flute = 0.06 * (8.0 * v + 24.0 * u).sin();
     let tube = 0.42 + flute;
     let p = center + (side * v.cos() + across * v.sin()) * tube;
-    // The square of the spacing is the tube's area over the number of points. The radius covers about five spacings, and the
-    // weight places half opacity well inside the shell of overlapping kernels, where many points contribute: both hide the
-    // noise of random points.
+    // The square of the spacing is the tube's area over the number of points. The radius covers
+    // about five spacings, and the weight places half opacity well inside the shell of overlapping
+    // kernels, where many points contribute: both hide the noise of random points.
     let radius = 5.0 * (2.7 * TAU * TAU * 0.42 / points.max(1) as f64).sqrt();
     let shade = 0.75 + 3.0 * flute;
     let [r, g, b] = hue(2.0 * u / TAU);

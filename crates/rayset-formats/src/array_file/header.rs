@@ -46,7 +46,8 @@ pub(crate) struct Header {
     pub(crate) descr: String,
 }
 
-/// Where the text of a header begins and how long it is: from the magic number on. `None` if it is none.
+/// Where the text of a header begins and how long it is: from the magic number on. `None` if it is
+/// none.
 pub(crate) fn text_place(head: &[u8]) -> Option<(usize, u64)> {
     let rest = head.strip_prefix(MAGIC)?;
     match *rest {

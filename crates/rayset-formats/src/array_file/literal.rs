@@ -37,7 +37,8 @@ impl Literal {
     }
 }
 
-/// Parses a value at the start of a text. The error has the place in the text and what was expected.
+/// Parses a value at the start of a text. The error has the place in the text and what was
+/// expected.
 pub(super) fn parse(text: &str) -> Result<Literal, (usize, &'static str)> {
     let mut parser = Parser { text: text.as_bytes(), at: 0 };
     parser.value(0).map_err(|what| (parser.at, what))

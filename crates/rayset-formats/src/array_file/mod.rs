@@ -1,5 +1,5 @@
-//! Files of NumPy: arrays (`.npy`), and archives of arrays (`.npz`). What points and volumes are made of them is said where
-//! these are read.
+//! Files of NumPy: arrays (`.npy`), and archives of arrays (`.npz`). What points and volumes are
+//! made of them is said where these are read.
 
 mod array;
 mod fault;

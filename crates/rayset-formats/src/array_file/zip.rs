@@ -1,8 +1,8 @@
-//! The arrays in a NPZ file, which is a ZIP archive (PKWARE's APPNOTE): stored as they are, or deflated, with the extensions
-//! for large files.
+//! The arrays in a NPZ file, which is a ZIP archive (PKWARE's APPNOTE): stored as they are, or
+//! deflated, with the extensions for large files.
 //!
-//! Only the directory at the end is trusted for where members are; the checksum of each is verified when it is read to its
-//! end.
+//! Only the directory at the end is trusted for where members are; the checksum of each is verified
+//! when it is read to its end.
 
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -167,7 +167,8 @@ pub(crate) fn members(path: &Path) -> Result<Vec<Member>, Fault> {
     Ok(members)
 }
 
-/// Where the directory is: its byte, the number of its entries, its length. `None` if there is none that fits the file.
+/// Where the directory is: its byte, the number of its entries, its length. `None` if there is none
+/// that fits the file.
 fn directory(file: &mut InputFile, length: u64) -> io::Result<Option<(u64, u64, u64)>> {
     let tail_at = length.saturating_sub(END_BYTES);
     let tail = bytes_at(file, tail_at, length - tail_at)?;
@@ -194,8 +195,8 @@ fn directory(file: &mut InputFile, length: u64) -> io::Result<Option<(u64, u64, 
     Ok((inside && entries <= bytes / 46).then_some((at, entries, bytes)))
 }
 
-/// A member by its entry in the directory, where its own head is, and the length of the entry. The member is `None` if it is
-/// no array, or compressed in another way.
+/// A member by its entry in the directory, where its own head is, and the length of the entry. The
+/// member is `None` if it is no array, or compressed in another way.
 fn entry_of(entry: &[u8]) -> Option<(Option<Member>, u64, usize)> {
     let field = |at, length| number(entry, at, length);
     let (flags, method, checksum) = (field(8, 2)?, field(10, 2)?, field(16, 4)? as u32);

@@ -20,8 +20,9 @@ pub(super) enum NotANumber {
 impl DecimalMark {
     /// Parses `text`, which has no blanks around it.
     ///
-    /// Accepts what [`str::parse`] does, also with a comma between digits as the decimal mark if the file has commas, and
-    /// with Fortran exponents (`1.0D+05`). Missing values (an empty text, `NA`, `N/A`, `null`) become NaN.
+    /// Accepts what [`str::parse`] does, also with a comma between digits as the decimal mark if
+    /// the file has commas, and with Fortran exponents (`1.0D+05`). Missing values (an empty text,
+    /// `NA`, `N/A`, `null`) become NaN.
     #[inline]
     pub(super) fn parse(&mut self, text: &str) -> Result<f64, NotANumber> {
         match text.parse::<f64>() {
@@ -68,8 +69,8 @@ impl DecimalMark {
     }
 }
 
-/// Whether texts with a comma show that it is a decimal mark. In groups of thousands, there are three digits behind a comma, at
-/// most three before it, and the first is not 0.
+/// Whether texts with a comma show that it is a decimal mark. In groups of thousands, there are
+/// three digits behind a comma, at most three before it, and the first is not 0.
 pub(super) fn are_decimals<'t>(mut texts: impl Iterator<Item = &'t str>) -> bool {
     texts.any(|text| {
         let Some((whole, fraction)) = text.split_once(',') else { return false };

@@ -1,5 +1,5 @@
-//! The formats that points are read from, and how the format of a file is recognized: by its first bytes, and only where
-//! these say nothing by its name.
+//! The formats that points are read from, and how the format of a file is recognized: by its first
+//! bytes, and only where these say nothing by its name.
 
 use std::io::Read;
 use std::path::Path;
@@ -32,15 +32,16 @@ use rayset_store::storage::input_file::{self, InputFile, Named};
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct ReadOptions {
-    /// Names of all columns of text files, of arrays of NumPy and of snapshots in HDF5, overriding their own; `-` or an empty
-    /// name skips a column.
+    /// Names of all columns of text files, of arrays of NumPy and of snapshots in HDF5, overriding
+    /// their own; `-` or an empty name skips a column.
     pub text_columns: Option<Vec<String>>,
-    /// Points to sample on the faces of a mesh, evenly by area. If `None`, ten points are sampled for each triangle, at least a
-    /// million and at most 20 million; of a PLY file with 20 000 vertices or more, or with measurements of each, its vertices
-    /// are the points.
+    /// Points to sample on the faces of a mesh, evenly by area. If `None`, ten points are sampled
+    /// for each triangle, at least a million and at most 20 million; of a PLY file with 20 000
+    /// vertices or more, or with measurements of each, its vertices are the points.
     pub mesh_points: Option<u64>,
-    /// Types of the particles that are read from snapshots of simulations: `gas`, `dark`, `disk`, `bulge`, `stars`,
-    /// `black-holes`, or `PartType` and a number. If `None`, gas where there is any, otherwise all.
+    /// Types of the particles that are read from snapshots of simulations: `gas`, `dark`, `disk`,
+    /// `bulge`, `stars`, `black-holes`, or `PartType` and a number. If `None`, gas where there is
+    /// any, otherwise all.
     pub particles: Option<Vec<String>>,
 }
 
@@ -59,8 +60,8 @@ type Opened = Result<Box<dyn PointSource>, ReadError>;
 struct Format {
     /// Endings of the names of its files, without the dot, in lower case.
     extensions: &'static [&'static str],
-    /// Whether a file that begins with these bytes, [`HEAD_BYTES`] or all that there are, is of this format, whatever its
-    /// name.
+    /// Whether a file that begins with these bytes, [`HEAD_BYTES`] or all that there are, is of
+    /// this format, whatever its name.
     begins: fn(&[u8]) -> bool,
     open: fn(&Path, &ReadOptions) -> Opened,
 }
@@ -151,11 +152,12 @@ const FORMATS: &[Format] = &[
     },
 ];
 
-/// Meshes in PLY with fewer vertices than this are shapes, whose faces are what they are; those with more are of scans, whose
-/// vertices are the points that were measured.
+/// Meshes in PLY with fewer vertices than this are shapes, whose faces are what they are; those
+/// with more are of scans, whose vertices are the points that were measured.
 const SHAPE_VERTICES: u64 = 20_000;
 
-/// Whether a property of a vertex is part of a shape and its colours; others are measurements, which faces do not have.
+/// Whether a property of a vertex is part of a shape and its colours; others are measurements,
+/// which faces do not have.
 fn is_of_shape(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     let colour = name.strip_prefix("diffuse_").unwrap_or(&name);
@@ -193,7 +195,8 @@ fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
             return Ok(Box::new(MeshSource::survey(path, MeshFormat::Ply, options.mesh_points)?));
         }
         if let Some(vertex) = vertex.filter(|_| faces > 0) {
-            // Faces without an area, or that cannot be read, leave the vertices. Colours of faces alone are on faces.
+            // Faces without an area, or that cannot be read, leave the vertices. Colours of faces
+            // alone are on faces.
             let of_faces = header.elements.iter().filter(|element| element.name == "face");
             let of_faces: Vec<&str> =
                 of_faces.flat_map(|face| &face.properties).map(Property::name).collect();
@@ -222,7 +225,8 @@ fn open_obj(path: &Path, options: &ReadOptions) -> Opened {
     Ok(Box::new(ObjSource::open(path, mesh.vertices(), has_colors)?))
 }
 
-/// Whether a file is HDF5: its signature is at the start, or after a block of the user's of 512, 1024, 2048, … bytes.
+/// Whether a file is HDF5: its signature is at the start, or after a block of the user's of 512,
+/// 1024, 2048, … bytes.
 fn is_hdf5(head: &[u8]) -> bool {
     [0, 512, 1024, 2048].iter().any(|&at| head.get(at..).is_some_and(|h| h.starts_with(b"\x89HDF\r\n\x1a\n")))
 }
@@ -238,7 +242,8 @@ fn open_hdf5(path: &Path, _: &ReadOptions) -> Opened {
     Err(ReadError::NotCompiled { path: path.to_owned(), feature: "hdf5" })
 }
 
-/// Formats that are looked for within gzip and zstd, by their first extensions: those that are read from start to end.
+/// Formats that are looked for within gzip and zstd, by their first extensions: those that are read
+/// from start to end.
 const LOOKED_THROUGH: &[&str] = &["ply", "pcd", "ptx", "xyz"];
 /// Formats, by their first extensions, of which compression is a part.
 const COMPRESSED: &[&str] = &["spz"];
@@ -264,15 +269,17 @@ fn open_e57(path: &Path, _: &ReadOptions) -> Opened {
 }
 
 impl ReadOptions {
-    /// Endings of the names of files of points, without the dot, in lower case; and those of what may be around them.
+    /// Endings of the names of files of points, without the dot, in lower case; and those of what
+    /// may be around them.
     pub fn extensions() -> impl Iterator<Item = &'static str> {
         let packings = [Packing::Gzip, Packing::Zstd].map(|packing| packing.ending().trim_start_matches('.'));
         FORMATS.iter().flat_map(|format| format.extensions).copied().chain(packings)
     }
 }
 
-/// Opens a file in its own format, which its first bytes tell or, where these say nothing, the extension of its name. Text,
-/// PLY, PCD and PTX may be compressed with gzip or zstd. Positions in degrees of longitude and latitude become metres.
+/// Opens a file in its own format, which its first bytes tell or, where these say nothing, the
+/// extension of its name. Text, PLY, PCD and PTX may be compressed with gzip or zstd. Positions in
+/// degrees of longitude and latitude become metres.
 ///
 /// # Errors
 /// [`ReadError`] if the file cannot be opened, its header is malformed, or its format is unknown.
@@ -281,7 +288,8 @@ pub fn open(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Box<dyn Poi
     geographic::in_metres(path, open_as_it_is(path, options)?, || open_as_it_is(path, options))
 }
 
-/// Opens a pipe, which is read only once: its first bytes tell what it is, or its name, otherwise it is a table.
+/// Opens a pipe, which is read only once: its first bytes tell what it is, or its name, otherwise
+/// it is a table.
 fn open_pipe(path: &Path, options: &ReadOptions) -> Opened {
     let mut stream = Stream::open(path)?;
     let head = stream.head(HEAD_BYTES).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;

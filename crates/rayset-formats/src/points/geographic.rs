@@ -1,4 +1,5 @@
-//! Longitudes and latitudes in degrees become metres, so that heights, which are metres already, are as large as they look.
+//! Longitudes and latitudes in degrees become metres, so that heights, which are metres already,
+//! are as large as they look.
 
 use std::path::{Path, PathBuf};
 
@@ -101,7 +102,8 @@ impl Pole {
         if self.is_south { 5042 } else { 5041 }
     }
 
-    /// Easting and northing in metres on the ellipsoid of WGS 84 (Snyder 1987, equations 15-9, 21-30 to 21-33).
+    /// Easting and northing in metres on the ellipsoid of WGS 84 (Snyder 1987, equations 15-9,
+    /// 21-30 to 21-33).
     fn project(self, longitude: f64, latitude: f64) -> [f64; 2] {
         const SCALE: f64 = 0.994;
         const MIDDLE: f64 = 2e6;
@@ -142,8 +144,8 @@ impl Zone {
         if self.is_south { 32700 + self.number } else { 32600 + self.number }
     }
 
-    /// Easting and northing in metres on the ellipsoid of WGS 84, by Krüger's series to the third order: exact to a
-    /// millimetre within the zone.
+    /// Easting and northing in metres on the ellipsoid of WGS 84, by Krüger's series to the third
+    /// order: exact to a millimetre within the zone.
     fn project(self, longitude: f64, latitude: f64) -> [f64; 2] {
         const SCALE: f64 = 0.9996;
         let n = FLATTENING / (2.0 - FLATTENING);
@@ -174,8 +176,8 @@ struct InMetres {
     schema: Schema,
 }
 
-/// The same points in metres if their reference system has degrees and the first of them, which `open` reads, is a place on
-/// the globe; otherwise as they are.
+/// The same points in metres if their reference system has degrees and the first of them, which
+/// `open` reads, is a place on the globe; otherwise as they are.
 pub(super) fn in_metres(
     path: &Path,
     source: Box<dyn PointSource>,
@@ -295,7 +297,8 @@ mod tests {
         );
         let (epsg, [x, y]) = project(90.0, -90.0);
         assert!(epsg == 5042 && (x - 2e6).abs() < 1e-6 && (y - 2e6).abs() < 1e-6, "{x} {y}");
-        // A metre on the ground is a metre: a hundredth of a degree along a meridian, at the scale of the pole.
+        // A metre on the ground is a metre: a hundredth of a degree along a meridian, at the scale
+        // of the pole.
         let ([_, a], [_, b]) = (project(180.0, 89.0).1, project(180.0, 88.99).1);
         assert!((b - a - 0.994 * 1116.94).abs() < 0.5, "{}", b - a);
         let ([x, _], [_, y]) = (project(90.0, 89.0).1, project(0.0, -89.0).1);

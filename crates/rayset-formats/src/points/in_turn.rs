@@ -1,7 +1,8 @@
 //! Many files as sources, each of which is open only while it is read.
 //!
-//! A survey in ten thousand tiles would otherwise hold ten thousand open files and as many decoders. Here a file is opened to
-//! learn its schema, closed, and opened again when its points are read; files with one schema share it.
+//! A survey in ten thousand tiles would otherwise hold ten thousand open files and as many
+//! decoders. Here a file is opened to learn its schema, closed, and opened again when its points
+//! are read; files with one schema share it.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,7 +11,8 @@ use super::{Place, PointBatch, PointSource, ReadError, ReadOptions, Schema, form
 use rayset_base::cancel::CancelToken;
 use rayset_store::storage::input_file::is_file;
 
-/// Schemas that are compared with the next file's: tiles of a survey have one, or few that alternate.
+/// Schemas that are compared with the next file's: tiles of a survey have one, or few that
+/// alternate.
 const MOST_COMPARED: usize = 16;
 
 /// Opens files one at a time.
@@ -34,7 +36,8 @@ impl InTurn {
         &self.options
     }
 
-    /// The points of a file, which is closed until they are read. A pipe stays open, because it can be read only once.
+    /// The points of a file, which is closed until they are read. A pipe stays open, because it can
+    /// be read only once.
     ///
     /// # Errors
     /// [`ReadError`] as [`open`](super::open); later, if the file is another by then.

@@ -8,7 +8,8 @@ use super::stream::Stream;
 use super::{Place, ReadError};
 use rayset_base::regular_file::held;
 
-/// Longest record in bytes, so that a file without line ends or with an unclosed quote needs bounded memory.
+/// Longest record in bytes, so that a file without line ends or with an unclosed quote needs
+/// bounded memory.
 pub(super) const RECORD_LIMIT: usize = 1 << 16;
 
 /// Most bytes of 0 behind the last line. A device may have them without end.
@@ -21,11 +22,13 @@ pub(super) struct Lines {
     number: u64,
     /// Lines that were looked at, and are still to be read.
     ahead: VecDeque<Vec<u8>>,
-    /// The byte that ends a line: a carriage return in files that have these and no line feed behind them.
+    /// The byte that ends a line: a carriage return in files that have these and no line feed
+    /// behind them.
     end: u8,
 }
 
-/// The byte that ends the first line: a carriage return if no line feed follows it, as in old files of a Macintosh.
+/// The byte that ends the first line: a carriage return if no line feed follows it, as in old files
+/// of a Macintosh.
 pub(super) fn first_line_end(start: &[u8]) -> u8 {
     let first = start.iter().position(|byte| b"\r\n".contains(byte));
     let is_return =
@@ -76,7 +79,8 @@ impl Lines {
         Self { input, number, ahead: VecDeque::new(), end }
     }
 
-    /// The next lines, up to `most` of up to `bytes` together, which are read again. Ends before a line that is too long.
+    /// The next lines, up to `most` of up to `bytes` together, which are read again. Ends before a
+    /// line that is too long.
     pub(super) fn look_ahead(&mut self, most: usize, bytes: usize) -> Result<Vec<&[u8]>, ReadError> {
         let mut left = bytes;
         while self.ahead.len() < most && left > 0 {
@@ -109,7 +113,8 @@ impl Lines {
         Ok(read + (&mut self.input).take((room - read) as u64).read_until(self.end, record)?)
     }
 
-    /// Appends the next line to `record` without its line end. Returns false at the end of the file.
+    /// Appends the next line to `record` without its line end. Returns false at the end of the
+    /// file.
     pub(super) fn append(&mut self, record: &mut Vec<u8>) -> Result<bool, ReadError> {
         // Room for `\r\n`, which does not count.
         let room = RECORD_LIMIT + 2 - record.len().min(RECORD_LIMIT);

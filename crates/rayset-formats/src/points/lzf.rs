@@ -1,8 +1,9 @@
-//! LZF (Marc Lehmann's LibLZF), the compression of PCD and of h5py's filter `lzf`, as a stream in memory that does not
-//! depend on its size.
+//! LZF (Marc Lehmann's LibLZF), the compression of PCD and of h5py's filter `lzf`, as a stream in
+//! memory that does not depend on its size.
 //!
-//! Data are tokens: up to 32 bytes as they are, or up to 264 bytes that came at most 8 KiB before. Nothing else is remembered
-//! from one token to the next, so a decoder can be copied where it stands, and go on from there later.
+//! Data are tokens: up to 32 bytes as they are, or up to 264 bytes that came at most 8 KiB before.
+//! Nothing else is remembered from one token to the next, so a decoder can be copied where it
+//! stands, and go on from there later.
 
 use std::io::{self, Read};
 
@@ -50,7 +51,8 @@ impl<R: Read> Lzf<R> {
         Self { input, next: start, end, window: Box::new([0; WINDOW]), written: 0, token: Token::Plain(0) }
     }
 
-    /// Another decoder, which goes on where this one stands. `input` begins at [`byte`](Self::byte).
+    /// Another decoder, which goes on where this one stands. `input` begins at
+    /// [`byte`](Self::byte).
     pub(super) fn fork(&self, input: R) -> Self {
         Self { input, window: self.window.clone(), ..*self }
     }
@@ -85,8 +87,8 @@ impl<R: Read> Lzf<R> {
         Ok(())
     }
 
-    /// Decodes what is left of a token, or of the next one, as far as `out` has room. Returns the number of bytes, which is
-    /// not 0 unless `out` is empty.
+    /// Decodes what is left of a token, or of the next one, as far as `out` has room. Returns the
+    /// number of bytes, which is not 0 unless `out` is empty.
     fn read_token(&mut self, out: &mut [u8]) -> Result<usize, Damage> {
         if let Token::Plain(0) = self.token {
             self.next_token()?;
@@ -150,7 +152,8 @@ impl<R: Read> Lzf<R> {
     }
 }
 
-/// Decodes data in memory into at most `limit` bytes. `None` if they are damaged, or longer when they are decoded.
+/// Decodes data in memory into at most `limit` bytes. `None` if they are damaged, or longer when
+/// they are decoded.
 #[cfg(feature = "hdf5")]
 pub(super) fn decompress(data: &[u8], limit: usize) -> Option<Vec<u8>> {
     let mut decoder = Lzf::new(data, 0, data.len() as u64);

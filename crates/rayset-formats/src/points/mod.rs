@@ -1,8 +1,10 @@
-//! Point input: streaming readers for common file formats, and generators for the standard workloads.
+//! Point input: streaming readers for common file formats, and generators for the standard
+//! workloads.
 //!
-//! A [`PointSource`] delivers points in batches and never holds a whole file in memory. Positions are `f64` in the file's
-//! own coordinates; everything else is a column with a name and a type. The builder decides what a column means (radius,
-//! weight, colour) and what happens to invalid records.
+//! A [`PointSource`] delivers points in batches and never holds a whole file in memory. Positions
+//! are `f64` in the file's own coordinates; everything else is a column with a name and a type. The
+//! builder decides what a column means (radius, weight, colour) and what happens to invalid
+//! records.
 
 mod decimal_mark;
 #[cfg(feature = "e57")]

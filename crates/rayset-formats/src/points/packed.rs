@@ -1,7 +1,8 @@
 //! Bytes that are compressed with gzip or zstd, as a stream of what was compressed.
 //!
-//! zstd is read by `ruzstd`, which needs no C compiler and no C on other people's bytes; its panics on damaged data are
-//! caught. The memory that a file may ask for, its window, is limited before it is given.
+//! zstd is read by `ruzstd`, which needs no C compiler and no C on other people's bytes; its panics
+//! on damaged data are caught. The memory that a file may ask for, its window, is limited before it
+//! is given.
 
 use std::error::Error;
 use std::io::{self, BufRead, Read};
@@ -16,7 +17,8 @@ use rayset_store::storage::copy_of_reading;
 const ZSTD_MAGIC: u32 = 0xfd2f_b528;
 /// Largest window of zstd that is read, in bytes: that of its highest level.
 pub(super) const WINDOW_LIMIT: u64 = 128 << 20;
-/// The window that frames after the first may have, at least. Higher levels than 16 of zstd have larger ones.
+/// The window that frames after the first may have, at least. Higher levels than 16 of zstd have
+/// larger ones.
 const LEAST_WINDOW: u64 = 2 << 20;
 /// Memory in bytes of a decoder besides its window.
 const DECODER_BYTES: u64 = 1 << 20;
@@ -143,7 +145,8 @@ impl<R: BufRead> Unpacked<R> {
     }
 }
 
-/// The window in bytes that a frame of zstd needs, which begins with these bytes; `None` if they are no such beginning.
+/// The window in bytes that a frame of zstd needs, which begins with these bytes; `None` if they
+/// are no such beginning.
 pub(super) fn zstd_window(frame: &[u8]) -> Option<u64> {
     if number(frame) != Some(ZSTD_MAGIC) {
         return None;
@@ -154,7 +157,8 @@ pub(super) fn zstd_window(frame: &[u8]) -> Option<u64> {
         let base = 1_u64 << (10 + (window >> 3));
         return Some(base + base / 8 * (window & 7));
     }
-    // A frame of a single segment has no window but its content, whose size is behind the number of a dictionary.
+    // A frame of a single segment has no window but its content, whose size is behind the number of
+    // a dictionary.
     let start = [0, 1, 2, 4][usize::from(flags & 3)];
     let size = [1, 2, 4, 8][usize::from(flags >> 6)];
     let content = rest.get(start..start + size)?;
@@ -166,7 +170,8 @@ fn invalid(what: String) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
 }
 
-/// What is said of data that cannot be decompressed because of `cause`, when `bytes` have been read.
+/// What is said of data that cannot be decompressed because of `cause`, when `bytes` have been
+/// read.
 fn trouble(name: &str, bytes: u64, mut cause: Option<&(dyn Error + 'static)>) -> io::Error {
     while let Some(error) = cause {
         match error.downcast_ref::<io::Error>() {

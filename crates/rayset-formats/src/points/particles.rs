@@ -24,8 +24,8 @@ fn number(name: &str) -> Option<usize> {
     NAMES.iter().position(|known| *known == name)
 }
 
-/// The types to be read, in ascending order: those `wanted`; if nothing is, gas if the file has any, otherwise all that it
-/// has. `counts` has the number of particles of each type.
+/// The types to be read, in ascending order: those `wanted`; if nothing is, gas if the file has
+/// any, otherwise all that it has. `counts` has the number of particles of each type.
 pub(super) fn chosen(
     path: &Path,
     wanted: Option<&[String]>,
@@ -67,8 +67,8 @@ pub(super) fn chosen(
 /// ∫ω dV of the kernel of SPH codes, the M4 cubic spline, over the unit ball if its peak is 1.
 const KERNEL_INTEGRAL: f64 = std::f64::consts::PI / 8.0;
 
-/// The weight of a particle with which the sum of cubic splines of peak 1 is the density: its mass divided by the
-/// integral of its kernel, π/8 r³.
+/// The weight of a particle with which the sum of cubic splines of peak 1 is the density: its mass
+/// divided by the integral of its kernel, π/8 r³.
 pub(super) fn weight(mass: f64, radius: f64) -> f64 {
     mass / (KERNEL_INTEGRAL * radius.powi(3))
 }

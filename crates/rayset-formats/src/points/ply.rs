@@ -1,4 +1,5 @@
-//! PLY: ASCII and both binary byte orders, properties of any type and in any order; lists are skipped.
+//! PLY: ASCII and both binary byte orders, properties of any type and in any order; lists are
+//! skipped.
 
 use std::path::Path;
 
@@ -35,7 +36,8 @@ impl PlySource {
     /// Opens a file, reads its header and skips to its vertices.
     ///
     /// # Errors
-    /// [`ReadError`] if the file cannot be read, is not a PLY file, or has no `vertex` element with x, y and z.
+    /// [`ReadError`] if the file cannot be read, is not a PLY file, or has no `vertex` element with
+    /// x, y and z.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         Self::of(Stream::open(path)?)
     }

@@ -49,7 +49,8 @@ impl Body {
         self.input.memory_needed()
     }
 
-    /// Checks what follows the records in a compressed file, so that its checksum is found to be right.
+    /// Checks what follows the records in a compressed file, so that its checksum is found to be
+    /// right.
     pub(super) fn check_rest(&mut self) -> Result<(), ReadError> {
         self.input.check_rest()
     }
@@ -132,8 +133,9 @@ impl Body {
         Ok(())
     }
 
-    /// Reads record `index` of an element and passes its parts to `visit`, with the index of their property. The items of
-    /// lists for which `wants` is false are skipped. Errors of `visit` are reported with their place in the file.
+    /// Reads record `index` of an element and passes its parts to `visit`, with the index of their
+    /// property. The items of lists for which `wants` is false are skipped. Errors of `visit` are
+    /// reported with their place in the file.
     pub(super) fn record(
         &mut self,
         element: &Element,
@@ -207,7 +209,8 @@ impl Body {
         Ok(kind.decode(&self.record, self.encoding == Encoding::BigEndian))
     }
 
-    /// Reads up to `bytes` bytes into `self.record`; fewer only at the end of the file. Returns how many were read.
+    /// Reads up to `bytes` bytes into `self.record`; fewer only at the end of the file. Returns how
+    /// many were read.
     fn read_bytes(&mut self, bytes: usize) -> Result<usize, ReadError> {
         self.record.resize(bytes, 0);
         let mut read = 0;

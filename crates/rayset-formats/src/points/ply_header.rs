@@ -1,7 +1,7 @@
 //! The header of a PLY file: elements and their properties, checked but not yet interpreted.
 //!
-//! Format: Greg Turk, *The PLY Polygon File Format* (1994), with the size-suffixed type names in later use. `comment` and
-//! `obj_info` lines are limited only by the length of the whole header.
+//! Format: Greg Turk, *The PLY Polygon File Format* (1994), with the size-suffixed type names in
+//! later use. `comment` and `obj_info` lines are limited only by the length of the whole header.
 
 use std::io::{self, BufRead, Read};
 use std::path::Path;
@@ -312,7 +312,8 @@ fn property(words: &[&str]) -> Result<Property, String> {
     }
 }
 
-/// Reads a line; of long comments, only the start is kept. Returns the number of bytes read, at most `limit`.
+/// Reads a line; of long comments, only the start is kept. Returns the number of bytes read, at
+/// most `limit`.
 fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>, limit: u64, last: u8) -> io::Result<u64> {
     line.clear();
     let mut read = input.take(LINE_LIMIT.min(limit)).read_until(last, line)? as u64;

@@ -8,8 +8,8 @@ use rayset_store::output::{Destination, OutputError, OutputFile, OutputWriter};
 /// Digits reserved in the header for the number of points.
 const COUNT_WIDTH: usize = 20;
 
-/// Writes points as `float x, y, z` and one `float` (colours: `uchar`) per column. The file gets its name once it is
-/// complete.
+/// Writes points as `float x, y, z` and one `float` (colours: `uchar`) per column. The file gets
+/// its name once it is complete.
 #[derive(Debug)]
 pub struct PlyWriter {
     buffer: BufWriter<OutputWriter>,
@@ -22,10 +22,11 @@ pub struct PlyWriter {
 }
 
 impl PlyWriter {
-    /// Creates the file and writes its header. Colour columns (`red`, `green`, `blue`) take values from 0 to 1.
+    /// Creates the file and writes its header. Colour columns (`red`, `green`, `blue`) take values
+    /// from 0 to 1.
     ///
-    /// The header contains the number of points. It is rewritten at the end if it differs from `expected`; a pipe cannot
-    /// seek, so for a pipe `expected` must be right.
+    /// The header contains the number of points. It is rewritten at the end if it differs from
+    /// `expected`; a pipe cannot seek, so for a pipe `expected` must be right.
     ///
     /// # Errors
     /// [`OutputError::Io`].
@@ -81,7 +82,8 @@ impl PlyWriter {
         Ok(())
     }
 
-    /// Corrects the number of points in the header, and gives the file its name. Returns the number of points.
+    /// Corrects the number of points in the header, and gives the file its name. Returns the number
+    /// of points.
     ///
     /// # Errors
     /// [`OutputError::Io`].

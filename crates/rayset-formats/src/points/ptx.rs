@@ -1,14 +1,16 @@
 //! PTX (Leica Cyclone): scans as text, each a grid of points with the pose of the instrument.
 //!
-//! A scan begins with its numbers of columns and of rows, the place of the instrument and its three axes, and a matrix of
-//! four by four, all on lines of their own; a line for each point of the grid follows, with x, y, z, and perhaps intensity and
-//! red, green and blue. The matrix is applied to points as rows, so its last row is the translation. The place and the axes
-//! say the same once more, and are not used. Points at 0 0 0 are directions in which nothing was found: they are delivered as
-//! NaN, so that they are counted as invalid.
+//! A scan begins with its numbers of columns and of rows, the place of the instrument and its three
+//! axes, and a matrix of four by four, all on lines of their own; a line for each point of the grid
+//! follows, with x, y, z, and perhaps intensity and red, green and blue. The matrix is applied to
+//! points as rows, so its last row is the translation. The place and the axes say the same once
+//! more, and are not used. Points at 0 0 0 are directions in which nothing was found: they are
+//! delivered as NaN, so that they are counted as invalid.
 //!
-//! The column `scan` has the numbers of the scans, from 0. Points of a scan without colours or intensities, among others that
-//! have them, have NaN there. If the first point lacks either, the file is read through once more, to find whether others have
-//! it; a pipe cannot be, so there the first scan must have what the others have.
+//! The column `scan` has the numbers of the scans, from 0. Points of a scan without colours or
+//! intensities, among others that have them, have NaN there. If the first point lacks either, the
+//! file is read through once more, to find whether others have it; a pipe cannot be, so there the
+//! first scan must have what the others have.
 
 use std::path::Path;
 
@@ -47,7 +49,8 @@ impl Has {
     }
 }
 
-/// Whether a file that begins with these bytes is PTX: its first lines have as many numbers as a header has.
+/// Whether a file that begins with these bytes is PTX: its first lines have as many numbers as a
+/// header has.
 pub(super) fn begins(head: &[u8]) -> bool {
     let head = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head);
     let mut lines = head.split(|&byte| byte == b'\n').filter(|line| !line.trim_ascii().is_empty());
@@ -75,7 +78,8 @@ pub(super) struct PtxSource {
     color_at: Option<usize>,
     /// The first point was read for its width, and is still to be used.
     is_held: bool,
-    /// Number of the current scan, from 0; the line on which it begins, the number of its points, and how many are left.
+    /// Number of the current scan, from 0; the line on which it begins, the number of its points,
+    /// and how many are left.
     scan: u16,
     scan_line: u64,
     points: u64,
@@ -153,7 +157,8 @@ impl PtxSource {
         Ok(source)
     }
 
-    /// What any point of a file has. Reads up to the first error, which is found again when the points are read.
+    /// What any point of a file has. Reads up to the first error, which is found again when the
+    /// points are read.
     fn of_all(path: &Path) -> Has {
         let mut has = Has::default();
         let Ok(mut source) = Stream::open(path).and_then(Self::first) else { return has };

@@ -1,9 +1,10 @@
 //! Converts panics of decoders to values, without output on standard error.
 //!
-//! Decoders that are not part of this library trust their input: damaged bytes may make them index beyond tables, divide by
-//! zero or overflow. These panics are caught. Because a panic is reported before it is caught, a panic hook that suppresses
-//! their reports is installed in front of the program's own hook, once per process and only when such a decoder is used. It
-//! checks a thread-local flag, so that every other panic is still reported.
+//! Decoders that are not part of this library trust their input: damaged bytes may make them index
+//! beyond tables, divide by zero or overflow. These panics are caught. Because a panic is reported
+//! before it is caught, a panic hook that suppresses their reports is installed in front of the
+//! program's own hook, once per process and only when such a decoder is used. It checks a
+//! thread-local flag, so that every other panic is still reported.
 
 use std::cell::Cell;
 use std::panic::{self, AssertUnwindSafe};
@@ -13,7 +14,8 @@ thread_local! {
     static SILENT: Cell<bool> = const { Cell::new(false) };
 }
 
-/// The result of `call`, or `None` if it panics. The caller must then discard whatever `call` was modifying.
+/// The result of `call`, or `None` if it panics. The caller must then discard whatever `call` was
+/// modifying.
 pub(super) fn catch<T>(call: impl FnOnce() -> T) -> Option<T> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {

@@ -5,8 +5,8 @@ use super::{Schema, roles};
 /// Most columns that are listed.
 const MOST: usize = 48;
 
-/// Names of columns as they are understood: coordinates and colours under the names of their roles, `-` for what is skipped.
-/// Longitude and latitude keep their names, by which they are made metres.
+/// Names of columns as they are understood: coordinates and colours under the names of their roles,
+/// `-` for what is skipped. Longitude and latitude keep their names, by which they are made metres.
 fn understood(names: &[String], axes: [usize; 3]) -> Vec<String> {
     let mut list: Vec<String> = names
         .iter()
@@ -26,8 +26,8 @@ fn understood(names: &[String], axes: [usize; 3]) -> Vec<String> {
     list
 }
 
-/// Notes in a schema how its columns were read: `names` are those of the table in their order, of which three are the `axes`,
-/// and `by` says what the names come from.
+/// Notes in a schema how its columns were read: `names` are those of the table in their order, of
+/// which three are the `axes`, and `by` says what the names come from.
 pub(super) fn note(schema: &mut Schema, names: &[String], axes: [usize; 3], by: &str) {
     let mut list = understood(names, axes);
     let more = list.len().saturating_sub(MOST);

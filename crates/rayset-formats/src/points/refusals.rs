@@ -1,4 +1,5 @@
-//! Files that are recognized but not read: what they are, and which tool or option makes one of them that opens.
+//! Files that are recognized but not read: what they are, and which tool or option makes one of
+//! them that opens.
 
 use std::io::Read;
 use std::path::Path;
@@ -11,7 +12,8 @@ use super::roles::excerpt;
 /// Bytes that are looked at of what is compressed.
 const HEAD_BYTES: u64 = 4096;
 
-/// What a file is that no reader takes, why not, and what to do. `known` are the endings of names that are read.
+/// What a file is that no reader takes, why not, and what to do. `known` are the endings of names
+/// that are read.
 pub(super) fn advice(path: &Path, head: &[u8], known: &str) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     if path.is_dir() {
@@ -108,7 +110,8 @@ pub(super) fn is_recognized(path: &Path, head: &[u8]) -> bool {
     recognized(head, &name).is_some()
 }
 
-/// Whether a file is a molecule in XYZ: a count, a remark, and lines of a chemical symbol and three numbers.
+/// Whether a file is a molecule in XYZ: a count, a remark, and lines of a chemical symbol and three
+/// numbers.
 fn is_molecule(head: &[u8]) -> bool {
     let text = String::from_utf8_lossy(head);
     let mut lines = text.lines();

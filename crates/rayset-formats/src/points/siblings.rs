@@ -1,4 +1,5 @@
-//! The files of a snapshot that was written in several: `snap_004.0.hdf5`, `snap_004.1.hdf5`, or `snap_004.0`, ….
+//! The files of a snapshot that was written in several: `snap_004.0.hdf5`, `snap_004.1.hdf5`, or
+//! `snap_004.0`, ….
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -9,8 +10,8 @@ use rayset_store::storage::input_file;
 /// Largest number of files of a snapshot.
 const MOST_FILES: u64 = 1 << 16;
 
-/// All `count` files of the snapshot to which the file at `path` belongs, in order; `extension` is what follows the number
-/// in their names, with its dot, or empty.
+/// All `count` files of the snapshot to which the file at `path` belongs, in order; `extension` is
+/// what follows the number in their names, with its dot, or empty.
 ///
 /// # Errors
 /// If the name has no number below `count`, or one of the files is missing or cannot be looked at.

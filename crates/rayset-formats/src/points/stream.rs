@@ -13,8 +13,8 @@ const BUFFER_BYTES: usize = 256 << 10;
 
 /// The bytes of a file in order.
 ///
-/// What begins as gzip or zstd does is decompressed, whatever its name. Errors of the decompressor say whether the file is
-/// cut off or damaged, and near which byte.
+/// What begins as gzip or zstd does is decompressed, whatever its name. Errors of the decompressor
+/// say whether the file is cut off or damaged, and near which byte.
 pub(super) struct Stream {
     path: PathBuf,
     /// Bytes that were looked at, and are still to be read.
@@ -90,7 +90,8 @@ impl Stream {
         matches!(&self.input, Input::Plain(input) if input.get_ref().is_file())
     }
 
-    /// Passes over bytes, of a file that can be so passed; if it ends before, what is read next finds the end.
+    /// Passes over bytes, of a file that can be so passed; if it ends before, what is read next
+    /// finds the end.
     pub(super) fn seek_forward(&mut self, bytes: u64) -> io::Result<()> {
         match &mut self.input {
             Input::Plain(input) => input.seek_relative(bytes.min(i64::MAX as u64) as i64),
@@ -98,7 +99,8 @@ impl Stream {
         }
     }
 
-    /// Reads what is left of a compressed file, so that its checksum is found to be right; of others, nothing.
+    /// Reads what is left of a compressed file, so that its checksum is found to be right; of
+    /// others, nothing.
     pub(super) fn check_rest(&mut self) -> Result<(), ReadError> {
         if let Input::Packed(input) = &mut self.input {
             let rest = io::copy(input, &mut io::sink());

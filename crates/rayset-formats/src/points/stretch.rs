@@ -32,7 +32,8 @@ impl Stretch {
         self.end
     }
 
-    /// Moves to another part of the file. If the stretch is buffered, the buffer must be emptied as well.
+    /// Moves to another part of the file. If the stretch is buffered, the buffer must be emptied as
+    /// well.
     pub(super) fn set(&mut self, at: u64, end: u64) {
         (self.at, self.end) = (at, end);
     }

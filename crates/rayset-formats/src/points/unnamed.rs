@@ -1,11 +1,13 @@
 //! What the columns of a table without names are, by the values in its first rows.
 //!
-//! A leading column that counts rows, or has times, comes before the positions. Behind these, three numbers of length one are
-//! a normal; three bytes, words or numbers up to 1 a colour; a number before a colour an intensity; a small whole number
-//! behind colours or normals a label. Four columns are x y z intensity, six without any of these x y z red green blue. Of four
-//! columns that are a colour with either end, the end that differs more from the two columns between is the intensity: channels
-//! of a colour are alike and vary together. If neither does, the first is. Columns that count returns, from 1 to 7, are no
-//! colour; what comes before two of them is an intensity.
+//! A leading column that counts rows, or has times, comes before the positions. Behind these, three
+//! numbers of length one are a normal; three bytes, words or numbers up to 1 a colour; a number
+//! before a colour an intensity; a small whole number behind colours or normals a label. Four
+//! columns are x y z intensity, six without any of these x y z red green blue. Of four columns that
+//! are a colour with either end, the end that differs more from the two columns between is the
+//! intensity: channels of a colour are alike and vary together. If neither does, the first is.
+//! Columns that count returns, from 1 to 7, are no colour; what comes before two of them is an
+//! intensity.
 
 /// Rows that are looked at.
 pub(super) const ROWS: usize = 256;
@@ -15,10 +17,12 @@ const TIMES: std::ops::Range<f64> = 1e8..1e19;
 /// Labels are at most this.
 const MOST_LABEL: f64 = 64.0;
 
-/// A pulse of a LiDAR has at most this many returns, of which files have the number of each and that of all.
+/// A pulse of a LiDAR has at most this many returns, of which files have the number of each and
+/// that of all.
 const MOST_RETURNS: f64 = 7.0;
 
-/// Correlations, of two columns each, that differ by more than this say which column is a channel of a colour.
+/// Correlations, of two columns each, that differ by more than this say which column is a channel
+/// of a colour.
 const LEAST_CORRELATION: f64 = 0.5;
 
 /// Fewer rows than these may have such numbers by chance.
@@ -100,7 +104,8 @@ impl Sample<'_> {
         self.all(column, |v| v.fract() == 0.0 && (-1.0..=MOST_LABEL).contains(&v))
     }
 
-    /// Whether the column behind three numbers belongs to a colour before it, and not the first of four to one behind it.
+    /// Whether the column behind three numbers belongs to a colour before it, and not the first of
+    /// four to one behind it.
     fn goes_on(&self, first: usize) -> bool {
         let last = first + 3;
         let brightest = (first..last).map(|column| self.most(column)).fold(0.0, f64::max);
@@ -110,7 +115,8 @@ impl Sample<'_> {
         opaque || is_label || self.belongs_with_next(first, last)
     }
 
-    /// Whether column `first` is a channel of a colour with the next two, rather than column `last` behind them is.
+    /// Whether column `first` is a channel of a colour with the next two, rather than column `last`
+    /// behind them is.
     fn belongs_with_next(&self, first: usize, last: usize) -> bool {
         let middle = [first + 1, first + 2];
         let shared = |column: usize| middle.iter().map(|&other| self.correlation(column, other)).sum::<f64>();
@@ -154,7 +160,8 @@ impl Sample<'_> {
     }
 }
 
-/// Names for the columns of a table `width` wide, by its first rows, which may be none. `-` is a column of no interest.
+/// Names for the columns of a table `width` wide, by its first rows, which may be none. `-` is a
+/// column of no interest.
 pub(super) fn names(width: usize, rows: &[Vec<f64>]) -> Vec<String> {
     let sample = Sample(rows);
     let mut names = Vec::with_capacity(width);

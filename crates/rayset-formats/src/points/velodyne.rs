@@ -1,5 +1,5 @@
-//! Scans of turning LiDARs as KITTI and nuScenes have them: records of four or five floats (x, y, z, intensity, and the number
-//! of the laser), and nothing else.
+//! Scans of turning LiDARs as KITTI and nuScenes have them: records of four or five floats (x, y,
+//! z, intensity, and the number of the laser), and nothing else.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -35,7 +35,8 @@ impl VelodyneSource {
     /// Opens a file.
     ///
     /// # Errors
-    /// [`ReadError`] if it cannot be read, or neither its size nor its first records are those of a scan.
+    /// [`ReadError`] if it cannot be read, or neither its size nor its first records are those of a
+    /// scan.
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let file = InputFile::open(path).map_err(io)?;
@@ -67,7 +68,8 @@ impl VelodyneSource {
     }
 }
 
-/// Whether rows are those of a scan: in reach of a sensor, with intensities and, if there are five, numbers of lasers.
+/// Whether rows are those of a scan: in reach of a sensor, with intensities and, if there are five,
+/// numbers of lasers.
 fn is_scan(table: &Plain, bytes: &[u8]) -> bool {
     let rows = bytes.len() / (table.width * table.kind.bytes());
     let of_scan = |row: usize| {

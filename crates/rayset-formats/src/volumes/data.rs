@@ -1,4 +1,5 @@
-//! Locates the voxels of a volume in a file, plain or compressed, and checks that the file can hold all of them.
+//! Locates the voxels of a volume in a file, plain or compressed, and checks that the file can hold
+//! all of them.
 
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -9,7 +10,8 @@ use rayset_base::regular_file;
 use rayset_files::grid::{ReadError, Voxels, what_of};
 use rayset_store::storage::input_file::{InputFile, Named, look};
 
-/// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most 258 bytes.
+/// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most
+/// 258 bytes.
 pub(super) const MOST_DEFLATED: u64 = 1032;
 
 /// Whether a file begins as those of gzip do. Errors are left to whoever opens it.
@@ -73,8 +75,8 @@ impl Place<'_> {
         Ok(Voxels { path: self.path.to_owned(), data, rest: None })
     }
 
-    /// Opens voxels in compressed data of at most `limit` bytes. The data are read to their end, so that their checksum is
-    /// verified.
+    /// Opens voxels in compressed data of at most `limit` bytes. The data are read to their end, so
+    /// that their checksum is verified.
     pub(super) fn compressed(
         self,
         compression: Compression,
@@ -147,8 +149,8 @@ pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<InputFile>, 
     Ok(BufReader::with_capacity(1 << 16, file))
 }
 
-/// The number of bytes in the `lines` lines that begin at byte `start`, including their ends. `None` if there are fewer
-/// lines.
+/// The number of bytes in the `lines` lines that begin at byte `start`, including their ends.
+/// `None` if there are fewer lines.
 pub(super) fn skip_lines(path: &Path, start: u64, lines: u64) -> Result<Option<u64>, ReadError> {
     let mut file = data_at(path, start)?;
     let (mut left, mut bytes) = (lines, 0);

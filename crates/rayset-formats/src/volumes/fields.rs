@@ -64,7 +64,8 @@ impl Lines {
         Ok(true)
     }
 
-    /// Goes on behind this number of words between white space, which are no lines. False if the file ends before.
+    /// Goes on behind this number of words between white space, which are no lines. False if the
+    /// file ends before.
     pub(super) fn skip_words(&mut self, words: u64) -> Result<bool, ReadError> {
         let (mut left, mut within) = (words, false);
         while left > 0 {

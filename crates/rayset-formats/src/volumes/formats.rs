@@ -1,5 +1,5 @@
-//! The formats that volumes are read from, and how the format of a file is recognized: by its first bytes, and only where
-//! these say nothing by its name.
+//! The formats that volumes are read from, and how the format of a file is recognized: by its first
+//! bytes, and only where these say nothing by its name.
 
 use std::io::Read;
 use std::path::Path;
@@ -22,9 +22,9 @@ const NIFTI_MAGIC: usize = 344;
 struct Format {
     /// Endings of the names of its files, without the dot, in lower case.
     extensions: &'static [&'static str],
-    /// Whether a file that begins with these bytes, [`HEAD_BYTES`] or all that there are, is of this format, whatever its
-    /// name. The bytes of a compressed file are those of what is compressed. Where the beginning says too little, more of
-    /// the file is read.
+    /// Whether a file that begins with these bytes, [`HEAD_BYTES`] or all that there are, is of
+    /// this format, whatever its name. The bytes of a compressed file are those of what is
+    /// compressed. Where the beginning says too little, more of the file is read.
     begins: fn(&[u8], &Path) -> Result<bool, ReadError>,
     /// Whether a file may be compressed by gzip as a whole.
     zipped: bool,
@@ -150,7 +150,8 @@ pub fn extensions() -> impl Iterator<Item = &'static str> {
     FORMATS.iter().flat_map(|format| format.extensions).copied()
 }
 
-/// Whether a file is a volume, by its first bytes or, where these say nothing, by the extension of its name.
+/// Whether a file is a volume, by its first bytes or, where these say nothing, by the extension of
+/// its name.
 ///
 /// # Errors
 /// [`ReadError::Io`] if the operating system refuses to read it.
@@ -158,12 +159,13 @@ pub fn is_volume(path: &Path) -> Result<bool, ReadError> {
     Ok(!matches!(kind_of(path)?, Kind::Unknown))
 }
 
-/// Opens a volume in its own format, which its first bytes tell or, where these say nothing, the extension of its name: of a
-/// file with a series of volumes, as arrays of four dimensions are, that of an index, counted from 0, or the first.
+/// Opens a volume in its own format, which its first bytes tell or, where these say nothing, the
+/// extension of its name: of a file with a series of volumes, as arrays of four dimensions are,
+/// that of an index, counted from 0, or the first.
 ///
 /// # Errors
-/// [`ReadError`] if it cannot be opened, its header is invalid, it is too small for the voxels that its header promises, or
-/// has no volume of the index.
+/// [`ReadError`] if it cannot be opened, its header is invalid, it is too small for the voxels that
+/// its header promises, or has no volume of the index.
 pub fn open(path: impl AsRef<Path>, index: Option<u64>) -> Result<VolumeSource, ReadError> {
     let path = path.as_ref();
     let refuse = |what: String| Err(ReadError::Format { path: path.to_owned(), what });
@@ -174,8 +176,8 @@ pub fn open(path: impl AsRef<Path>, index: Option<u64>) -> Result<VolumeSource, 
     }
 }
 
-/// The first bytes of a file, decompressed if they are gzip's, and whether they are. Empty if it is a pipe, a device or a
-/// folder.
+/// The first bytes of a file, decompressed if they are gzip's, and whether they are. Empty if it is
+/// a pipe, a device or a folder.
 fn head(path: &Path) -> std::io::Result<(Vec<u8>, bool)> {
     let mut head = Vec::new();
     if !matches!(look(path)?, Named::File(_)) {

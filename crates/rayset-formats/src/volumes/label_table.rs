@@ -1,5 +1,6 @@
-//! Names and colours of labels in the extensions of a NIfTI file: the label table of Caret and Connectome Workbench (extension code
-//! 30), which TotalSegmentator writes, too. `<Label Key="1" Red="0.2" Green="0.4" Blue="1">spleen</Label>`.
+//! Names and colours of labels in the extensions of a NIfTI file: the label table of Caret and
+//! Connectome Workbench (extension code 30), which TotalSegmentator writes, too.
+//! `<Label Key="1" Red="0.2" Green="0.4" Blue="1">spleen</Label>`.
 
 use quick_xml::escape::resolve_predefined_entity;
 use quick_xml::events::{BytesStart, Event};
@@ -12,8 +13,8 @@ const CARET: u32 = 30;
 /// Most bytes of all extensions that are looked at.
 pub(super) const MOST_BYTES: u64 = 4 << 20;
 
-/// What the extensions, the bytes from 352 up to the voxels, say of labels. Damaged ones say nothing: they are no part of the
-/// volume.
+/// What the extensions, the bytes from 352 up to the voxels, say of labels. Damaged ones say
+/// nothing: they are no part of the volume.
 pub(super) fn of_extensions(mut extensions: &[u8], big_endian: bool) -> NamedLabels {
     let number = |mut bytes: [u8; 4]| {
         if big_endian {

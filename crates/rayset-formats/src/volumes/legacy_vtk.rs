@@ -1,5 +1,6 @@
-//! VTK's legacy files (`.vtk`) of a regular grid, `STRUCTURED_POINTS`, or a `RECTILINEAR_GRID` that is evenly spaced: the first
-//! array of one number each of its points, otherwise of its cells at their centres; as text or big-endian.
+//! VTK's legacy files (`.vtk`) of a regular grid, `STRUCTURED_POINTS`, or a `RECTILINEAR_GRID` that
+//! is evenly spaced: the first array of one number each of its points, otherwise of its cells at
+//! their centres; as text or big-endian.
 
 use std::io::Read;
 use std::path::Path;
@@ -262,7 +263,8 @@ impl<'a> File<'a> {
         self.array(Some(&kind), components, tuples)
     }
 
-    /// Notes an array that begins here, if it is the first of one number for each point or cell, and goes on behind it.
+    /// Notes an array that begins here, if it is the first of one number for each point or cell,
+    /// and goes on behind it.
     fn array(&mut self, kind: Option<&&str>, components: u64, tuples: u64) -> Result<(), ReadError> {
         let kind = kind.map(|kind| kind.to_ascii_lowercase()).unwrap_or_default();
         let count = components.checked_mul(tuples);

@@ -1,10 +1,11 @@
-//! MetaImage (ITK): `.mha` that contains its voxels, `.mhd` with the voxels in another file; plain or zlib. Of more than three
-//! dimensions, the first three are those of space, and the others those of a series of volumes.
+//! MetaImage (ITK): `.mha` that contains its voxels, `.mhd` with the voxels in another file; plain
+//! or zlib. Of more than three dimensions, the first three are those of space, and the others those
+//! of a series of volumes.
 //!
-//! As in ITK's own library, `HeaderSize` counts from the start of the file that holds the voxels, whichever that is, and −1
-//! means that the voxels are its last bytes. Compressed data end after `CompressedDataSize` bytes, or with the file if that
-//! is not given. Nothing may follow voxels in the file of the header, or compressed data; a separate file of plain voxels
-//! may continue.
+//! As in ITK's own library, `HeaderSize` counts from the start of the file that holds the voxels,
+//! whichever that is, and −1 means that the voxels are its last bytes. Compressed data end after
+//! `CompressedDataSize` bytes, or with the file if that is not given. Nothing may follow voxels in
+//! the file of the header, or compressed data; a separate file of plain voxels may continue.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -119,8 +120,8 @@ impl Header {
                 }
                 self.skip = Some((skip, place.to_owned()));
             }
-            // It names the sides from which the axes of the voxels come, and the matrix says the same more exactly. Whatever
-            // it is, positions are ITK's: to the left, to the back, up.
+            // It names the sides from which the axes of the voxels come, and the matrix says the
+            // same more exactly. Whatever it is, positions are ITK's: to the left, to the back, up.
             "AnatomicalOrientation" if Orientation::of_patient(value).is_some() => {
                 self.orientation = Orientation::of_patient("LPS").unwrap_or_default();
             }
@@ -182,7 +183,8 @@ impl Header {
             Err(_) if self.compressed => {
                 return Err(ReadError::header(path, &place, "-1 is for voxels that are not compressed"));
             }
-            // If the file is too short, the error is reported for the earliest place at which the voxels could begin.
+            // If the file is too short, the error is reported for the earliest place at which the
+            // voxels could begin.
             Err(_) => regular_file_bytes(path)?.saturating_sub(bytes).max(least),
         };
         let place = Place { path, start, bytes, rest };

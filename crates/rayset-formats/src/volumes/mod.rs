@@ -1,9 +1,9 @@
-//! Readers of volumes: NRRD, MetaImage, NIfTI, OpenVDB, VTK's, OpenDX, SLC, arrays of NumPy, and raw files with a given
-//! layout. Voxels are read once, in order, x fastest, in pieces of any size.
+//! Readers of volumes: NRRD, MetaImage, NIfTI, OpenVDB, VTK's, OpenDX, SLC, arrays of NumPy, and
+//! raw files with a given layout. Voxels are read once, in order, x fastest, in pieces of any size.
 //!
-//! Before any voxel is read, a file is checked to be large enough for the voxels that its header promises. Compressed data
-//! are read to their end, so that their checksums are verified, and must contain nothing after the voxels but what the
-//! header states.
+//! Before any voxel is read, a file is checked to be large enough for the voxels that its header
+//! promises. Compressed data are read to their end, so that their checksums are verified, and must
+//! contain nothing after the voxels but what the header states.
 
 mod data;
 mod dx;

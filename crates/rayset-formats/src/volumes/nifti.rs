@@ -1,8 +1,9 @@
-//! NIfTI-1 (`n+1`), plain or gzip: one volume of the file, the first unless another is asked for, placed by its sform, otherwise its qform, otherwise its
-//! spacing.
+//! NIfTI-1 (`n+1`), plain or gzip: one volume of the file, the first unless another is asked for,
+//! placed by its sform, otherwise its qform, otherwise its spacing.
 //!
-//! As in the format's own library, a spacing that is not positive counts as 1. Voxels are scaled if `scl_slope` is finite
-//! and not 0. Before and after the volume there are the other volumes of its series, and nothing else.
+//! As in the format's own library, a spacing that is not positive counts as 1. Voxels are scaled if
+//! `scl_slope` is finite and not 0. Before and after the volume there are the other volumes of its
+//! series, and nothing else.
 
 use std::io::Read;
 use std::path::Path;

@@ -1,8 +1,10 @@
-//! Arrays of NumPy of three dimensions (`.npy`), alone or in an archive (`.npz`), or of more, which are series of volumes.
+//! Arrays of NumPy of three dimensions (`.npy`), alone or in an archive (`.npz`), or of more, which
+//! are series of volumes.
 //!
-//! An array is indexed as `a[z, y, x]`, as imageio and scikit-image do; axes before these three are those of a series, and axes
-//! of length one besides these three do not count. In an archive, the only array of three dimensions is read, or that of a
-//! usual name, otherwise a series; `spacing` or `sampling`, and `origin`, are three numbers in the order of the axes.
+//! An array is indexed as `a[z, y, x]`, as imageio and scikit-image do; axes before these three are
+//! those of a series, and axes of length one besides these three do not count. In an archive, the
+//! only array of three dimensions is read, or that of a usual name, otherwise a series; `spacing`
+//! or `sampling`, and `origin`, are three numbers in the order of the axes.
 
 use std::io::Read;
 use std::path::Path;
@@ -44,8 +46,8 @@ pub(super) fn is_volume(head: &[u8], path: &Path) -> Result<bool, ReadError> {
     Ok(header.is_some_and(|header| is_volume_array(&header)))
 }
 
-/// Whether an archive is of points: another array has as many rows as one of three numbers a row, and no volume has a usual
-/// name. Matrices of cameras stand beside such points.
+/// Whether an archive is of points: another array has as many rows as one of three numbers a row,
+/// and no volume has a usual name. Matrices of cameras stand beside such points.
 fn is_of_points(arrays: &[Array]) -> bool {
     let rows = |array: &Array| array.header.shape.first().copied();
     let agrees = |array: &Array| arrays.iter().filter(|other| rows(other) == rows(array)).count() > 1;
@@ -56,8 +58,9 @@ fn is_of_points(arrays: &[Array]) -> bool {
     !has_volume && of_three.any(agrees)
 }
 
-/// Whether an array of an archive is its volume, or one of them. An archive with an array of three numbers a row has points,
-/// unless another is of three dimensions: arrays of more stand beside points, too.
+/// Whether an array of an archive is its volume, or one of them. An archive with an array of three
+/// numbers a row has points, unless another is of three dimensions: arrays of more stand beside
+/// points, too.
 fn has_volume(arrays: &[Array]) -> bool {
     let of_three = arrays.iter().any(|array| matches!(*array.header.shape.as_slice(), [_, 3]));
     let is_one = |array: &Array| is_volume_array(&array.header) && !(of_three && is_series(&array.header));
@@ -93,14 +96,15 @@ fn axes(header: &Header) -> Option<Axes> {
 }
 
 impl Axes {
-    /// Whether the last axis has colours or coordinates: the array is a picture, a film, a grid of points, or several clouds.
+    /// Whether the last axis has colours or coordinates: the array is a picture, a film, a grid of
+    /// points, or several clouds.
     fn is_pictures(&self) -> bool {
         let [planes, rows, last] = self.volume;
         last <= 4 && (planes > 16 || rows > 16 || !self.series.is_empty())
     }
 
-    /// The volume that is asked for, and in which of the places in the file it is: with Fortran's order the first axis is the
-    /// fastest.
+    /// The volume that is asked for, and in which of the places in the file it is: with Fortran's
+    /// order the first axis is the fastest.
     fn series(
         &self,
         path: &Path,
@@ -132,7 +136,8 @@ pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, Read
     })
 }
 
-/// The volume of an array, of which `voxels` opens all bytes. `spacing` and `origin` are in the order of its axes.
+/// The volume of an array, of which `voxels` opens all bytes. `spacing` and `origin` are in the
+/// order of its axes.
 fn volume(
     path: &Path,
     array: &Array,

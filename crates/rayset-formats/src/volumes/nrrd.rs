@@ -1,12 +1,14 @@
 //! NRRD (teem), attached or detached: raw and gzip encodings, three axes, or four of a series.
 //!
-//! Of four axes, that of the series is the one without a direction in space, otherwise the one whose `kinds` is no `domain` or
-//! `space`, otherwise the last. It must be the first, where the voxels of all volumes lie side by side, or the last.
+//! Of four axes, that of the series is the one without a direction in space, otherwise the one
+//! whose `kinds` is no `domain` or `space`, otherwise the last. It must be the first, where the
+//! voxels of all volumes lie side by side, or the last.
 //!
-//! Skipping follows the format's own library (teem, `formatNRRD.c` and `encodingGzip.c`): first `line skip` lines of the
-//! file as stored, then `byte skip` bytes, which are counted in the decompressed data if the data are compressed. A `byte
-//! skip` of −1 means that the voxels are at the end of the data, and −n − 1 that n bytes follow them. Nothing else may
-//! follow voxels in the file of the header, or in compressed data; a separate file of plain data may continue.
+//! Skipping follows the format's own library (teem, `formatNRRD.c` and `encodingGzip.c`): first
+//! `line skip` lines of the file as stored, then `byte skip` bytes, which are counted in the
+//! decompressed data if the data are compressed. A `byte skip` of −1 means that the voxels are at
+//! the end of the data, and −n − 1 that n bytes follow them. Nothing else may follow voxels in the
+//! file of the header, or in compressed data; a separate file of plain data may continue.
 
 use std::path::Path;
 
@@ -251,8 +253,8 @@ const KEYS: [&[&str]; 13] = [
     &["line skip", "lineskip"],
 ];
 
-/// What the name of a space says of its axes, by its initials or in words: those of patients name the sides to which the
-/// axes point. Other spaces, like `scanner-xyz`, say nothing of up.
+/// What the name of a space says of its axes, by its initials or in words: those of patients name
+/// the sides to which the axes point. Other spaces, like `scanner-xyz`, say nothing of up.
 fn orientation(space: &str) -> Orientation {
     let words = space.split('-').filter_map(|word| word.chars().next());
     let initials: String = if space.contains('-') { words.collect() } else { space.to_owned() };

@@ -13,8 +13,9 @@ pub(super) struct Orientation {
 }
 
 impl Orientation {
-    /// Of a patient, in a space whose axes point to three sides of the patient, in any order: R or L (right, left), A or P
-    /// (anterior, posterior), S or I (superior, inferior). `None` if these letters do not name a space.
+    /// Of a patient, in a space whose axes point to three sides of the patient, in any order: R or
+    /// L (right, left), A or P (anterior, posterior), S or I (superior, inferior). `None` if these
+    /// letters do not name a space.
     pub(super) fn of_patient(letters: &str) -> Option<Self> {
         let axes: [char; 3] = letters.chars().collect::<Vec<_>>().try_into().ok()?;
         let along = |one: char, other: char| {

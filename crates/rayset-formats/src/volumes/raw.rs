@@ -10,8 +10,8 @@ use rayset_base::parse::ParseError;
 use rayset_files::grid::ReadError;
 use rayset_files::grid::{Described, VolumeSource};
 
-/// The layout of a raw file: `256x256x128,u16`, then optionally `be` or `le`, `skip=512` (bytes), `spacing=1x1x2.5`. The
-/// file may continue after the voxels.
+/// The layout of a raw file: `256x256x128,u16`, then optionally `be` or `le`, `skip=512` (bytes),
+/// `spacing=1x1x2.5`. The file may continue after the voxels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawLayout {
     size: [u64; 3],
@@ -70,7 +70,8 @@ impl RawLayout {
     /// Opens a raw file of this layout, which contains nothing but voxels.
     ///
     /// # Errors
-    /// [`ReadError`] if it cannot be opened, the layout is invalid, or the file is shorter than it requires.
+    /// [`ReadError`] if it cannot be opened, the layout is invalid, or the file is shorter than it
+    /// requires.
     pub fn open(&self, path: impl AsRef<Path>) -> Result<VolumeSource, ReadError> {
         let path = path.as_ref();
         let described = Described {

@@ -1,4 +1,5 @@
-//! Rectilinear grids: the coordinates of their points along each axis, which are read if they are evenly spaced.
+//! Rectilinear grids: the coordinates of their points along each axis, which are read if they are
+//! evenly spaced.
 
 use rayset_files::grid::what_of;
 use std::io::Read;
@@ -6,7 +7,8 @@ use std::io::Read;
 use rayset_base::geometry::DVec3;
 use rayset_base::numbers::Stored;
 
-/// How far a point may be from where even spacing puts it, in spacings. A thousandth of a voxel is not seen.
+/// How far a point may be from where even spacing puts it, in spacings. A thousandth of a voxel is
+/// not seen.
 const MOST_UNEVEN: f64 = 1e-3;
 /// How often the relative rounding error of its type a coordinate may be away, too.
 const MOST_ROUNDED: f64 = 4.0;
@@ -28,8 +30,8 @@ pub(super) struct Even {
 }
 
 impl Coordinates {
-    /// Notes in `even` the first coordinate and the spacing. The numbers are read twice from what `open` opens: the last one
-    /// tells the spacing that all are compared with.
+    /// Notes in `even` the first coordinate and the spacing. The numbers are read twice from what
+    /// `open` opens: the last one tells the spacing that all are compared with.
     ///
     /// # Errors
     /// What is wrong with them; as `Err` of `open` if that fails.

@@ -62,7 +62,8 @@ const REFUSED: [Refused; 5] = [
     },
 ];
 
-/// What a file or folder is that no reader knows, and what converts it. `None` if it is nothing of these either.
+/// What a file or folder is that no reader knows, and what converts it. `None` if it is nothing of
+/// these either.
 pub(super) fn refused(path: &Path, head: &[u8], is_named: impl Fn(&[&str]) -> bool) -> Option<&'static str> {
     if path.is_dir() {
         return folder(path).or_else(|| is_named(ZARR.extensions).then_some(ZARR.what));

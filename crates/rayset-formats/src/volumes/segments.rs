@@ -1,5 +1,6 @@
-//! Names and colours of segments in NRRD, as 3D Slicer writes them (its "Segmentation" file format, `.seg.nrrd`): key/value pairs
-//! `Segment0_Name`, `Segment0_LabelValue`, `Segment0_Color` (three shares of sRGB), `Segment0_Layer`.
+//! Names and colours of segments in NRRD, as 3D Slicer writes them (its "Segmentation" file format,
+//! `.seg.nrrd`): key/value pairs `Segment0_Name`, `Segment0_LabelValue`, `Segment0_Color` (three
+//! shares of sRGB), `Segment0_Layer`.
 
 use std::collections::BTreeMap;
 
@@ -40,8 +41,8 @@ impl Segments {
         }
     }
 
-    /// The labels of a volume of the series. Segments of old files, which state no value, have one volume each, in which they
-    /// are 1.
+    /// The labels of a volume of the series. Segments of old files, which state no value, have one
+    /// volume each, in which they are 1.
     pub(super) fn of_layer(&self, layer: u64) -> NamedLabels {
         let mut labels = NamedLabels::default();
         for (number, segment) in &self.0 {

@@ -37,7 +37,8 @@ impl Series {
         bytes.checked_mul(self.volumes)
     }
 
-    /// Of `voxels`, those of all volumes one after another, those of the one that is read. `bytes` are those of a volume.
+    /// Of `voxels`, those of all volumes one after another, those of the one that is read. `bytes`
+    /// are those of a volume.
     pub(super) fn in_sequence(self, voxels: Voxels, bytes: u64) -> Result<Voxels, ReadError> {
         let Voxels { path, mut data, rest } = voxels;
         let before = bytes * self.index;
@@ -47,8 +48,8 @@ impl Series {
         Ok(Voxels { path, data, rest: rest.map(|rest| rest + behind) })
     }
 
-    /// Of `voxels`, those of all volumes voxel by voxel, those of the one that is read. `bytes` are those of a volume, and
-    /// `width` those of a voxel.
+    /// Of `voxels`, those of all volumes voxel by voxel, those of the one that is read. `bytes` are
+    /// those of a volume, and `width` those of a voxel.
     pub(super) fn interleaved(self, voxels: Voxels, bytes: u64, width: usize) -> Result<Voxels, String> {
         if self.volumes > MOST_INTERLEAVED {
             return Err(format!("a series of more than {MOST_INTERLEAVED} volumes, voxel by voxel"));
@@ -80,8 +81,8 @@ impl Series {
 /// Most volumes of a series that are stored voxel by voxel.
 const MOST_INTERLEAVED: u64 = 1 << 16;
 
-/// The voxels of one volume of a series whose volumes are interleaved, voxel by voxel; behind its last voxel, all that
-/// follows.
+/// The voxels of one volume of a series whose volumes are interleaved, voxel by voxel; behind its
+/// last voxel, all that follows.
 struct Interleaved<R> {
     data: R,
     series: Series,

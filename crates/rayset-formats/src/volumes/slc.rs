@@ -1,8 +1,8 @@
-//! SLC, of the volume visualization group at Stony Brook (`.slc`): a header in text, a picture, slices of bytes that are
-//! plain or run-length encoded.
+//! SLC, of the volume visualization group at Stony Brook (`.slc`): a header in text, a picture,
+//! slices of bytes that are plain or run-length encoded.
 //!
-//! The layout is that of VTK's `vtkSLCReader`. As there, encoded slices may end one voxel early if all of them do; the last
-//! voxel of a slice is then as the one before it.
+//! The layout is that of VTK's `vtkSLCReader`. As there, encoded slices may end one voxel early if
+//! all of them do; the last voxel of a slice is then as the one before it.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
@@ -16,7 +16,8 @@ use rayset_files::grid::{Described, VolumeSource, Voxels};
 const MAGIC: &str = "11111";
 /// Longest header in bytes.
 const MOST_HEADER_BYTES: u64 = 1024;
-/// Words before the mark: the magic number, sizes, bits, spacings, unit, origin, changes, compression, size of the picture.
+/// Words before the mark: the magic number, sizes, bits, spacings, unit, origin, changes,
+/// compression, size of the picture.
 const HEADER_WORDS: usize = 14;
 /// Ends the header, and the length of each compressed slice.
 const MARK: u8 = b'X';
@@ -25,7 +26,8 @@ const MOST_DIGITS: usize = 20;
 /// A code encodes at most 127 bytes in two.
 const MOST_RATIO: u64 = 64;
 
-/// Whether a file begins with a whole header. Other files of numbers may begin with the first of them.
+/// Whether a file begins with a whole header. Other files of numbers may begin with the first of
+/// them.
 pub(super) fn is_slc(head: &[u8]) -> bool {
     let header = head.split(|byte| *byte == MARK).next().filter(|header| header.len() < head.len());
     let text = header.map(String::from_utf8_lossy).unwrap_or_default();
@@ -86,7 +88,8 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     Ok(source.with_about("every slice ends one voxel early: its last voxel is as the one before it".into()))
 }
 
-/// Opens slices that are run-length encoded; also returns by how many voxels each of them ends early.
+/// Opens slices that are run-length encoded; also returns by how many voxels each of them ends
+/// early.
 fn encoded(place: &Place<'_>, size: [u64; 3]) -> Result<(Voxels, u64), ReadError> {
     let (path, bytes) = (place.path.to_owned(), place.bytes);
     let left = regular_file_bytes(&path)?.saturating_sub(place.start);
@@ -113,8 +116,9 @@ enum Run {
     Copy(u8),
 }
 
-/// Slices that are run-length encoded, each after its length in text. A code is a count in seven bits; with the eighth,
-/// so many bytes follow, and else one that is repeated. A count of 0 ends a slice.
+/// Slices that are run-length encoded, each after its length in text. A code is a count in seven
+/// bits; with the eighth, so many bytes follow, and else one that is repeated. A count of 0 ends a
+/// slice.
 struct Slices<R> {
     data: BufReader<R>,
     slice_bytes: u64,

@@ -1,5 +1,6 @@
-//! VTK ImageData in XML (`.vti`) of one piece, and a RectilinearGrid (`.vtr`) that is evenly spaced: the scalars of its points,
-//! otherwise those of its cells at their centres; as text, inline or appended, raw or base64, plain or zlib.
+//! VTK ImageData in XML (`.vti`) of one piece, and a RectilinearGrid (`.vtr`) that is evenly
+//! spaced: the scalars of its points, otherwise those of its cells at their centres; as text,
+//! inline or appended, raw or base64, plain or zlib.
 
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -95,7 +96,8 @@ fn only_piece<'d>(path: &Path, document: &'d Document) -> Result<&'d Piece, Read
     }
 }
 
-/// The first and last point along each axis: of the whole extent, which the single piece must cover.
+/// The first and last point along each axis: of the whole extent, which the single piece must
+/// cover.
 fn extent(path: &Path, document: &Document, piece: &Piece) -> Result<[i64; 6], ReadError> {
     let six = |tag: &Tag, name| {
         let numbers = tag.attribute(name).and_then(parsed::<i64, 6>);
@@ -111,8 +113,8 @@ fn extent(path: &Path, document: &Document, piece: &Piece) -> Result<[i64; 6], R
     Ok(whole)
 }
 
-/// The array named as the scalars, otherwise the first with one component; of the points, otherwise of the cells. Also
-/// returns whether it is an array of cells.
+/// The array named as the scalars, otherwise the first with one component; of the points, otherwise
+/// of the cells. Also returns whether it is an array of cells.
 fn wanted_array<'p>(path: &Path, piece: &'p Piece) -> Result<(&'p Tag, bool), ReadError> {
     let single = |tag: &&Tag| tag.attribute("NumberOfComponents").is_none_or(|n| n.trim() == "1");
     let wanted = |group: &'p Group| {
@@ -171,7 +173,8 @@ fn place(path: &Path, image: &Tag, extent: &[i64; 6], of_cells: bool) -> Result<
     Ok(DAffine3::from_mat3_translation(linear, origin + linear * first))
 }
 
-/// The space of a rectilinear grid, of whose points the coordinates along each axis are evenly spaced.
+/// The space of a rectilinear grid, of whose points the coordinates along each axis are evenly
+/// spaced.
 fn even(
     path: &Path,
     document: &Document,

@@ -9,7 +9,8 @@ use super::document::{Document, Tag};
 use super::fault::{Fault, data_at, what_of};
 use rayset_base::text_numbers::{Behind, TextNumber, TextNumbers};
 
-/// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most 258 bytes.
+/// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most
+/// 258 bytes.
 const MOST_DEFLATED: u64 = 1032;
 
 /// Where binary data are, and how they are encoded.
@@ -40,7 +41,8 @@ pub(crate) enum Opened {
     /// In a stream.
     Stream {
         data: Box<dyn Read + Send>,
-        /// Number of bytes that must follow them: 0 if they come last. `None` if anything may follow.
+        /// Number of bytes that must follow them: 0 if they come last. `None` if anything may
+        /// follow.
         rest: Option<u64>,
         /// Whether they come from text, and so in little-endian order.
         is_text: bool,
@@ -134,7 +136,8 @@ impl DataArray<'_> {
         if last_bytes > block_bytes {
             return Err(self.tag.wrong("", "its last compressed block is said to be longer than the others"));
         }
-        // The sizes of the blocks are read twice instead of being stored, however many blocks there are.
+        // The sizes of the blocks are read twice instead of being stored, however many blocks there
+        // are.
         let head_bytes = blocks.saturating_add(3).saturating_mul(self.words.width());
         self.check_room(encoded, head_bytes)?;
         let mut compressed_bytes = 0_u64;

@@ -61,8 +61,8 @@ impl<R: BufRead> Base64<R> {
         Self { text, ready: [0; 3], count: 0, at: 0 }
     }
 
-    /// Decodes letters that are held in memory, four at a time, up to the first of anything else and as far as `out` has room
-    /// for three bytes. Returns the number of bytes.
+    /// Decodes letters that are held in memory, four at a time, up to the first of anything else
+    /// and as far as `out` has room for three bytes. Returns the number of bytes.
     fn decode_held(&mut self, out: &mut [u8]) -> io::Result<usize> {
         let held = held(&mut self.text.inner)?;
         let mut groups = 0;

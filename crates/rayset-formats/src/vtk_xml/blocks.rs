@@ -46,8 +46,9 @@ impl Words {
     }
 }
 
-/// The decompressed data of all blocks, as a stream: no whole block is held in memory. Every block must have the compressed
-/// and decompressed lengths that were stated for it, and the right checksum.
+/// The decompressed data of all blocks, as a stream: no whole block is held in memory. Every block
+/// must have the compressed and decompressed lengths that were stated for it, and the right
+/// checksum.
 pub(super) struct Blocks {
     /// The sizes of blocks still to come.
     sizes: Box<dyn BufRead + Send>,
@@ -61,7 +62,8 @@ pub(super) struct Blocks {
     /// Whether nothing may follow the last block.
     alone: bool,
     decompress: Decompress,
-    /// Compressed bytes of this block still to be read, and decompressed bytes still to be returned.
+    /// Compressed bytes of this block still to be read, and decompressed bytes still to be
+    /// returned.
     compressed: u64,
     decompressed: u64,
     ended: bool,
@@ -127,7 +129,8 @@ impl Read for Blocks {
                 return Err(io::ErrorKind::UnexpectedEof.into());
             }
             let held = &held[..held.len().min(usize::try_from(self.compressed).unwrap_or(usize::MAX))];
-            // The checksum follows the last byte; room for one more byte shows whether the block is too long.
+            // The checksum follows the last byte; room for one more byte shows whether the block is
+            // too long.
             let mut spare = [0];
             let whole = self.decompressed == 0;
             let room = out.len().min(usize::try_from(self.decompressed).unwrap_or(usize::MAX));

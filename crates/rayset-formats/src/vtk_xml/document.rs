@@ -13,7 +13,8 @@ use rayset_store::storage::input_file::InputFile;
 
 /// Limit on the bytes of a file that are read as XML, without the text of arrays.
 const MOST_HEADER_BYTES: u64 = 1 << 20;
-/// Limits on the number of arrays in each group, the attributes of an element, and the nesting depth.
+/// Limits on the number of arrays in each group, the attributes of an element, and the nesting
+/// depth.
 const MOST_ARRAYS: usize = 4096;
 const MOST_ATTRIBUTES: usize = 64;
 const MOST_DEPTH: usize = 64;
@@ -167,7 +168,8 @@ pub(crate) fn read(path: &Path) -> Result<Document, Fault> {
     Ok(header)
 }
 
-/// Skips text up to the next tag, without storing it. Returns the offset of its first character that is not white space.
+/// Skips text up to the next tag, without storing it. Returns the offset of its first character
+/// that is not white space.
 fn pass_text(xml: &mut Xml) -> io::Result<Option<u64>> {
     let limit = xml.get_ref().limit();
     xml.get_mut().set_limit(u64::MAX);
@@ -190,7 +192,8 @@ fn pass_text(xml: &mut Xml) -> io::Result<Option<u64>> {
     Ok(found)
 }
 
-/// Reads the `_` before the appended data. Returns the offset of the data; `None` if anything else is found.
+/// Reads the `_` before the appended data. Returns the offset of the data; `None` if anything else
+/// is found.
 fn marker(xml: &mut Xml) -> io::Result<Option<u64>> {
     let mut stream = xml.stream();
     loop {

@@ -1,5 +1,6 @@
-//! Files of VTK in XML: their elements, and the numbers of their arrays, as text, inline or appended, raw or base64, plain or
-//! zlib. What volumes and points are made of them is said where these are read.
+//! Files of VTK in XML: their elements, and the numbers of their arrays, as text, inline or
+//! appended, raw or base64, plain or zlib. What volumes and points are made of them is said where
+//! these are read.
 
 mod array;
 mod base64;

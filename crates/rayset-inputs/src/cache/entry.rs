@@ -1,8 +1,10 @@
-//! Entries of the cache: folders of their own, each with what was built and a note of what it was built from.
+//! Entries of the cache: folders of their own, each with what was built and a note of what it was
+//! built from.
 //!
-//! A folder is created under a name that nobody can predict, so that nothing is in its way, and is open to its owner alone. The
-//! note is the cache's mark: a folder without one is somebody else's, whatever its name. Whoever builds or reads an entry
-//! holds a shared lock on its note; whoever removes one takes the lock for itself alone, and lets be what is locked.
+//! A folder is created under a name that nobody can predict, so that nothing is in its way, and is
+//! open to its owner alone. The note is the cache's mark: a folder without one is somebody else's,
+//! whatever its name. Whoever builds or reads an entry holds a shared lock on its note; whoever
+//! removes one takes the lock for itself alone, and lets be what is locked.
 
 use std::fs::{File, TryLockError};
 use std::hash::{BuildHasher, RandomState};
@@ -79,7 +81,8 @@ impl Entry {
                 Ok(entry)
             });
             let entry = entry.inspect_err(|_| drop(std::fs::remove_dir(&folder))).with_context(doing)?;
-            // Between its creation and the lock, another process may have taken it for one that nobody uses.
+            // Between its creation and the lock, another process may have taken it for one that
+            // nobody uses.
             if is_shared(&entry.note) && path.exists() {
                 return Ok(entry);
             }
@@ -87,7 +90,8 @@ impl Entry {
         bail!("cannot create an entry in {}: every one was removed at once", cache.display())
     }
 
-    /// The entries in `cache` whose names begin with `name` and whose inputs are what they were, newest first.
+    /// The entries in `cache` whose names begin with `name` and whose inputs are what they were,
+    /// newest first.
     pub(super) fn find(cache: &Path, name: &str, data: &str) -> Vec<Found> {
         let begins = format!("{name}-");
         let mut found: Vec<Found> = folders(cache)
@@ -126,8 +130,8 @@ impl Entry {
         &self.folder
     }
 
-    /// Notes that the entry is whole: what it was built from besides the inputs that were named, and what was said. The built
-    /// file admits whom all `inputs` admit.
+    /// Notes that the entry is whole: what it was built from besides the inputs that were named,
+    /// and what was said. The built file admits whom all `inputs` admit.
     pub(crate) fn complete(
         &mut self,
         inputs: &[PathBuf],
@@ -216,8 +220,8 @@ fn data_of(folder: &Path) -> Option<PathBuf> {
     files.find(|path| path.extension().is_some_and(|extension| extension == EXTENSION))
 }
 
-/// Removes what an entry consists of, and what a build that was killed has left in it. A folder in which something else lies
-/// stays, with that.
+/// Removes what an entry consists of, and what a build that was killed has left in it. A folder in
+/// which something else lies stays, with that.
 fn remove_files(folder: &Path, data: &Path) -> std::io::Result<()> {
     for found in std::fs::read_dir(folder)? {
         let path = found?.path();

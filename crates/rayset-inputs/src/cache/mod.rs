@@ -1,8 +1,9 @@
 //! The cache: clouds and grids built of inputs that were rendered without building them first.
 //!
-//! An entry is found by the name of its first input and a hash of the named files and options. Its note says which other files
-//! were read, such as the voxels beside a header; it is used as long as those, too, are what they were. What has not been used
-//! for longest goes first when the cache is full.
+//! An entry is found by the name of its first input and a hash of the named files and options. Its
+//! note says which other files were read, such as the voxels beside a header; it is used as long as
+//! those, too, are what they were. What has not been used for longest goes first when the cache is
+//! full.
 
 mod entry;
 mod stamp;
@@ -34,7 +35,8 @@ pub struct CacheArgs {
     /// Most bytes that the cache keeps; 20GiB by default
     #[arg(long, value_parser = values::size)]
     cache_limit: Option<u64>,
-    /// Stop at the first damaged file of a folder or pattern, instead of leaving it out and naming it at the end
+    /// Stop at the first damaged file of a folder or pattern, instead of leaving it out and naming
+    /// it at the end
     #[arg(long, help_heading = "Folders of files")]
     strict: bool,
     #[command(flatten)]
@@ -111,7 +113,8 @@ impl CacheArgs {
         folder.map_or_else(Vec::new, |folder| Entry::find(&folder, &name.entry, &name.data))
     }
 
-    /// A place for what is built: in the cache, or, if that cannot be written to, which is said, in a temporary folder.
+    /// A place for what is built: in the cache, or, if that cannot be written to, which is said, in
+    /// a temporary folder.
     pub(super) fn place(&self, name: &Name, host: &dyn Host) -> Result<Place> {
         if self.no_cache {
             return temporary(name, host);
@@ -129,8 +132,9 @@ impl CacheArgs {
         self.cache.clone().map_or_else(user_folder, Ok)
     }
 
-    /// Removes the entries that were not used for longest until the others fit, and what builds that were killed have left. The
-    /// newest entry stays, however large, and so does what others build or read.
+    /// Removes the entries that were not used for longest until the others fit, and what builds
+    /// that were killed have left. The newest entry stays, however large, and so does what others
+    /// build or read.
     pub(super) fn prune(&self, kept: &Entry, host: &dyn Host) {
         let limit = self.cache_limit.unwrap_or(DEFAULT_LIMIT);
         let Some(cache) = kept.folder().parent() else { return };
@@ -167,7 +171,8 @@ pub(super) struct Name {
 }
 
 impl Name {
-    /// Of what is built of the files that `inputs` stand for, with `options`, a text that says what they are.
+    /// Of what is built of the files that `inputs` stand for, with `options`, a text that says what
+    /// they are.
     ///
     /// # Errors
     /// If a file cannot be looked at.
@@ -198,7 +203,8 @@ fn temporary(name: &Name, host: &dyn Host) -> Result<Place> {
     Ok(Place::Temporary { _folder: folder, path })
 }
 
-/// Raised when what is built of the same input changes within a version of the program: entries of before are not used.
+/// Raised when what is built of the same input changes within a version of the program: entries of
+/// before are not used.
 const GENERATION: u32 = 6;
 
 /// The user's own folder for caches.

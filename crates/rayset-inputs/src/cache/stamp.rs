@@ -12,13 +12,14 @@ use rayset::storage::{self, address_of};
 pub(super) enum Detail {
     /// Path, length, and time of change: the same on every machine that sees the file.
     Shared,
-    /// Also the number of the file and the time when the system last changed anything of it, which a program that sets a file's
-    /// time of change, such as `cp -p`, cannot set.
+    /// Also the number of the file and the time when the system last changed anything of it, which
+    /// a program that sets a file's time of change, such as `cp -p`, cannot set.
     Local,
 }
 
-/// A line that differs for files that may differ. Of an address it has no secrets, so that an object that is signed anew is the same.
-/// Where these could tell objects apart and the server says nothing that does, an entry of the cache is never found again.
+/// A line that differs for files that may differ. Of an address it has no secrets, so that an
+/// object that is signed anew is the same. Where these could tell objects apart and the server says
+/// nothing that does, an entry of the cache is never found again.
 ///
 /// # Errors
 /// If the file cannot be looked at.
@@ -61,8 +62,8 @@ pub(super) fn of(path: &Path, detail: Detail) -> Result<String> {
     Ok(line)
 }
 
-/// A hash, in 16 digits, of the version of the program, of `options`, a text that says what is made of some files, and of the
-/// files' stamps.
+/// A hash, in 16 digits, of the version of the program, of `options`, a text that says what is made
+/// of some files, and of the files' stamps.
 fn hash(files: &[PathBuf], options: &str, detail: Detail) -> Result<String> {
     let mut text = format!("{} {options}\n", env!("CARGO_PKG_VERSION"));
     for file in files {
@@ -77,8 +78,9 @@ pub(super) fn key(files: &[PathBuf], options: &str) -> Result<String> {
     hash(files, options, Detail::Local)
 }
 
-/// A hash, in 16 digits, of the version of the program, of the paths, sizes and times of change of some inputs, and of `options`, a
-/// text that says what is made of them. It is the same on all machines that see the inputs under these paths.
+/// A hash, in 16 digits, of the version of the program, of the paths, sizes and times of change of
+/// some inputs, and of `options`, a text that says what is made of them. It is the same on all
+/// machines that see the inputs under these paths.
 ///
 /// # Errors
 /// If an input cannot be read.

@@ -14,14 +14,16 @@ pub(super) struct Input<'a> {
     pub(super) has: &'a dyn Fn(&str) -> bool,
     /// Which attributes there are, in words.
     pub(super) stored: &'a str,
-    /// The values of an attribute in ascending order, or of `density`; `None` if they are not known.
+    /// The values of an attribute in ascending order, or of `density`; `None` if they are not
+    /// known.
     pub(super) sorted: &'a dyn Fn(&str) -> Option<Vec<f64>>,
     /// Whether the density is shown over its logarithm by default.
     pub(super) logarithmic: bool,
 }
 
 impl Input<'_> {
-    /// The values of an attribute, or of the density, in ascending order; for a logarithm those above 0.
+    /// The values of an attribute, or of the density, in ascending order; for a logarithm those
+    /// above 0.
     fn values(&self, name: &str, logarithmic: bool) -> Result<Vec<f64>> {
         let Some(mut values) = (self.sorted)(name) else {
             bail!("the values of {name} are not known before it is rendered; say --value-range LOW:HIGH")
@@ -42,8 +44,9 @@ impl Style {
         self.color.is_some() || self.colormap.is_some() || self.color_by.is_some()
     }
 
-    /// Sets the samples and the exposure of a scene to which everything else has been applied. `automatic` is the exposure if none is
-    /// asked for. The background is a colour of the display: it looks the same under any exposure.
+    /// Sets the samples and the exposure of a scene to which everything else has been applied.
+    /// `automatic` is the exposure if none is asked for. The background is a colour of the display:
+    /// it looks the same under any exposure.
     pub(super) fn apply_image(&self, scene: &mut Value, automatic: f64) {
         if let Some(samples) = self.samples {
             scene["image"]["samples"] = json!(samples);
@@ -63,7 +66,8 @@ impl Style {
         }
         if self.colormap.is_some() || self.color_by.is_some() {
             let map = self.colormap.map_or_else(|| "viridis".to_owned(), |map| map.to_string());
-            // Other colours for what the look shows already, if it shows anything in colours of a map.
+            // Other colours for what the look shows already, if it shows anything in colours of a
+            // map.
             if self.color_by.is_some() || !is_map(&transfer["color"]) {
                 remove(transfer, &["input", "valueRange"]);
             }
@@ -106,7 +110,8 @@ impl Style {
     /// The range of the colour map, and its logarithm.
     fn apply_range(&self, transfer: &mut Value, input: &Input<'_>) -> Result<()> {
         let shown = transfer["input"].as_str().unwrap_or("density").to_owned();
-        // The map of gas is over the logarithm already: it is made anew for other colours, or another range.
+        // The map of gas is over the logarithm already: it is made anew for other colours, or
+        // another range.
         let of_gas = input.logarithmic && shown == "density" && self.color.is_none();
         if of_gas && self.colormap.is_none() {
             if self.value_range.is_none() {
@@ -170,7 +175,8 @@ fn opacity_value(rule: &OpacityRule) -> Value {
     }
 }
 
-/// Gives a scene that was chosen another exposure, in stops, under which its background looks the same.
+/// Gives a scene that was chosen another exposure, in stops, under which its background looks the
+/// same.
 pub fn expose(scene: &mut Value, stops: f64) {
     let before = scene["image"]["exposure"].as_f64().unwrap_or(0.0);
     let background = &mut scene["background"];

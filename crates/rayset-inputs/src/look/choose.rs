@@ -1,4 +1,5 @@
-//! From an input and the options to the scene that is rendered, and the line that says what was chosen.
+//! From an input and the options to the scene that is rendered, and the line that says what was
+//! chosen.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -30,7 +31,8 @@ pub struct Chosen {
     pub look: &'static str,
     /// What is up, and why.
     pub up: String,
-    /// What the cameras of a turntable turn about; `None` of one picture, and of an eye whose place was given.
+    /// What the cameras of a turntable turn about; `None` of one picture, and of an eye whose place
+    /// was given.
     pub turntable: Option<Turntable>,
     /// How the input stands, whichever side it is seen from.
     pub stance: Stance,
@@ -152,7 +154,8 @@ impl Looks {
         }
     }
 
-    /// The values of a stored attribute or a coordinate in a sample; of a grid its values without the background.
+    /// The values of a stored attribute or a coordinate in a sample; of a grid its values without
+    /// the background.
     pub fn values(&self, name: &str) -> Vec<f64> {
         match &self.0 {
             Sampled::Cloud(_, statistics) => statistics.sorted(name),
@@ -175,7 +178,8 @@ fn of_sampled_cloud(
     }
     let camera = CameraChoice { style, turns };
     let mut style = style.clone();
-    // Weights that were made of masses are densities already: divided once more by volumes, they are next to nothing.
+    // Weights that were made of masses are densities already: divided once more by volumes, they
+    // are next to nothing.
     let twice = style.normalised == Some(Flag) && weights_are_densities(cloud.header());
     style.normalised = style.normalised.filter(|_| !twice);
     let enlarged =
@@ -250,14 +254,15 @@ fn of_sampled_cloud(
     })
 }
 
-/// By what the radii of a few points that are far apart are multiplied, so that the picture is not empty; `None` if they are seen
-/// as they are. At two significant digits.
+/// By what the radii of a few points that are far apart are multiplied, so that the picture is not
+/// empty; `None` if they are seen as they are. At two significant digits.
 fn radii_to_be_seen(cloud: &Cloud, statistics: &Statistics, style: &Style) -> Option<f64> {
     /// More points than these make a picture however small they are.
     const FEW: u64 = 10_000;
     /// The least radius that is seen, as a part of the extent: a pixel of a small picture…
     const SEEN: f64 = 1.0 / 400.0;
-    /// … and the least part of the square of the extent that all points' squares of radii add up to.
+    /// … and the least part of the square of the extent that all points' squares of radii add up
+    /// to.
     const COVERED: f64 = 4e-3;
     let count = cloud.header().points;
     // Splats are as large as they were made.
@@ -354,7 +359,8 @@ fn aspect((width, height): (u32, u32)) -> f64 {
     f64::from(width) / f64::from(height)
 }
 
-/// The path of a file for a scene that may be rendered from anywhere; what is in memory has its name.
+/// The path of a file for a scene that may be rendered from anywhere; what is in memory has its
+/// name.
 fn name_in_scene(path: &Path, in_memory: bool) -> Result<String> {
     let whole = if in_memory { Ok(path.to_owned()) } else { std::fs::canonicalize(path) };
     let path = whole.with_context(|| format!("cannot open {}", path.display()))?;

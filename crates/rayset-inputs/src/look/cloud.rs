@@ -27,14 +27,16 @@ const DIM: f64 = 0.2;
 const LEAST_CLASS: f64 = 0.1;
 /// Fewer different intensities than these are no picture.
 const LEAST_INTENSITIES: usize = 32;
-/// Points that fill more than this dimension are no surface; halos of simulations have 2.3, scans of statues and trees 2.0.
+/// Points that fill more than this dimension are no surface; halos of simulations have 2.3, scans
+/// of statues and trees 2.0.
 const FILLING: f64 = 2.2;
 
-/// Beyond these radii densities of numbers, their inverse cubes, are out of the range of transfer functions: molecules in
-/// metres, galaxies in kilometres.
+/// Beyond these radii densities of numbers, their inverse cubes, are out of the range of transfer
+/// functions: molecules in metres, galaxies in kilometres.
 const NORMALISED_RADII: [f64; 2] = [1e-5, 1e5];
 
-/// Points in more than this part of the inner cells of their box are no surface, however they crowd; those of rooms are in few.
+/// Points in more than this part of the inner cells of their box are no surface, however they
+/// crowd; those of rooms are in few.
 const BOX: f64 = 0.7;
 
 /// Fewer points of gas that are seen than these say nothing of where it is.
@@ -112,7 +114,8 @@ impl CloudLook {
         if seen.len() < LEAST_SEEN { all } else { seen.into_iter().map(|i| all[i]).collect() }
     }
 
-    /// The points of gas that are dense enough to be seen, by their numbers in the sample; what is thinner is black.
+    /// The points of gas that are dense enough to be seen, by their numbers in the sample; what is
+    /// thinner is black.
     fn seen_of_gas(&self) -> Vec<usize> {
         let densities = self.densities_of_points();
         let mut sorted: Vec<f64> = densities.iter().map(|&(_, density)| density).collect();
@@ -137,12 +140,14 @@ impl CloudLook {
             LookName::Splats => json!({"opacity": {"extinction": 1}, "color": self.color_value()}),
             _ => self.painted(cloud.header()),
         };
-        // Weights of simulations are densities already; without them, the number of points in a volume counts.
+        // Weights of simulations are densities already; without them, the number of points in a
+        // volume counts.
         if self.name == LookName::Gas && self.is_normalised {
             root["normalised"] = json!(true);
         }
         if self.name == LookName::Splats {
-            // What a splat's weight is made for: a Gaussian cut off at three deviations, as extinction.
+            // What a splat's weight is made for: a Gaussian cut off at three deviations, as
+            // extinction.
             root["kernel"] = json!("gaussian");
         }
         root
@@ -154,7 +159,8 @@ impl CloudLook {
 
     /// A surface where the density reaches a part of that of a filled region.
     fn painted(&self, header: &Header) -> Value {
-        // Steep, so that the surface is thin; below the density between two neighbours, so that it has no holes.
+        // Steep, so that the surface is thin; below the density between two neighbours, so that it
+        // has no holes.
         let opacity = json!([[0.25, 0.0], [0.55, 1.0]]);
         match &self.paint {
             Paint::Points | Paint::Plain => json!({"opacity": opacity, "color": self.color_value()}),
@@ -180,7 +186,8 @@ impl CloudLook {
         values.into_iter().map(|value| (value, class_name(value, column))).collect()
     }
 
-    /// The values of a column, of a coordinate, or of the density of gas, ascending; `None` if they are not known.
+    /// The values of a column, of a coordinate, or of the density of gas, ascending; `None` if they
+    /// are not known.
     pub(super) fn sorted(&self, name: &str) -> Option<Vec<f64>> {
         match name {
             "density" => (self.name == LookName::Gas).then(|| self.densities()),
@@ -197,13 +204,15 @@ impl CloudLook {
             return self.densities();
         }
         let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
-        // A point counts whole at its own place, and each other that it reaches by its kernel, whose mean over its ball is about a fifth.
+        // A point counts whole at its own place, and each other that it reaches by its kernel,
+        // whose mean over its ball is about a fifth.
         let reached = |i: usize, density: f64| density * BALL * radii[i].powi(3);
         let around = self.statistics.number_densities();
         around.iter().map(|&(i, density)| (1.0 + 0.2 * reached(i, density)) * weights[i]).collect()
     }
 
-    /// The density of mass at points, or of numbers where points have no weights, ascending: estimates.
+    /// The density of mass at points, or of numbers where points have no weights, ascending:
+    /// estimates.
     fn densities(&self) -> Vec<f64> {
         let mut densities: Vec<f64> =
             self.densities_of_points().into_iter().map(|(_, density)| density).collect();
@@ -216,14 +225,16 @@ impl CloudLook {
         const BALL: f64 = 4.0 / 3.0 * std::f64::consts::PI;
         let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
         let around = self.statistics.number_densities();
-        // Points within a radius: few where radii were measured, dozens in simulations, none where points are alone.
+        // Points within a radius: few where radii were measured, dozens in simulations, none where
+        // points are alone.
         let mut reached: Vec<f64> =
             around.iter().map(|&(i, density)| density * BALL * radii[i].powi(3)).collect();
         reached.sort_by(f64::total_cmp);
         let reached = percentile(&reached, 0.5);
         let alike = range(&self.statistics.sorted("radius"), 0.01);
         let mut densities: Vec<(usize, f64)> = if !self.is_normalised {
-            // Each counts by its kernel, whose mean over its ball is about a fifth; at its middle it is 1.
+            // Each counts by its kernel, whose mean over its ball is about a fifth; at its middle
+            // it is 1.
             weights.iter().map(|weight| (0.2 * reached).max(1.0) * weight).enumerate().collect()
         } else if alike.1 < 1.2 * alike.0 {
             around.iter().map(|&(i, density)| (i, density * weights[i])).collect()
@@ -235,7 +246,8 @@ impl CloudLook {
         densities
     }
 
-    /// Colours and opacity by the logarithm of the density of mass, or of numbers where points have no weights.
+    /// Colours and opacity by the logarithm of the density of mass, or of numbers where points have
+    /// no weights.
     fn gas(&self) -> Value {
         /// Points of the curves, evenly spaced in the logarithm.
         const KNOTS: usize = 64;
@@ -273,7 +285,8 @@ impl CloudLook {
                 scene["lights"] = json!("none");
                 scene["background"] = json!(NIGHT);
                 scene["rendering"]["unitDistance"] = json!(self.extent() / 60.0);
-                // Of what glows smoothly half as many samples make the same picture, to a step of a byte, in half the time.
+                // Of what glows smoothly half as many samples make the same picture, to a step of a
+                // byte, in half the time.
                 scene["rendering"]["stepFraction"] = json!(0.5);
             }
             LookName::Splats => {
@@ -297,8 +310,8 @@ impl CloudLook {
         }
     }
 
-    /// A sun from behind the eye's left shoulder, without shadows, which would cost as much again, and light from
-    /// everywhere.
+    /// A sun from behind the eye's left shoulder, without shadows, which would cost as much again,
+    /// and light from everywhere.
     fn lamps(&self) -> Value {
         let Orientation { up, facing, .. } = self.orientation;
         let right = facing.cross(up);
@@ -385,8 +398,9 @@ fn suggested(header: &Header, statistics: &Statistics, orientation: &Orientation
     (LookName::Surface, "points without colours".into())
 }
 
-/// Stops by which colours of these brightnesses, as displayed and ascending, are made brighter: so far that the brightest reach
-/// white, or the middle is seen, as long as nine in ten stay below white.
+/// Stops by which colours of these brightnesses, as displayed and ascending, are made brighter: so
+/// far that the brightest reach white, or the middle is seen, as long as nine in ten stay below
+/// white.
 fn exposure_of(brightnesses: &[f64]) -> f64 {
     // In linear light, roughly the square of displayed values.
     let stops = |from: f64, to: f64| 2.2 * (to / from.max(1.0 / 255.0)).log2();
@@ -396,8 +410,8 @@ fn exposure_of(brightnesses: &[f64]) -> f64 {
     if brightnesses.is_empty() { 0.0 } else { of_brightest.max(of_middle).clamp(0.0, 4.0) }
 }
 
-/// Greys of intensities in ascending order, over the range that is shown: if a few that are far brighter would leave most in the
-/// dark, the middle one is a middle grey.
+/// Greys of intensities in ascending order, over the range that is shown: if a few that are far
+/// brighter would leave most in the dark, the middle one is a middle grey.
 fn greys(sorted: &[f64]) -> Value {
     /// A middle that lies lower than this in the range is dark.
     const LOW: f64 = 0.3;
@@ -439,8 +453,8 @@ fn vertical(orientation: &Orientation) -> &'static str {
     ["x", "y", "z"][axis]
 }
 
-/// The dimension of what points fill: halving the cells of a lattice multiplies the number of those with points in them by
-/// nearly eight for a volume, by four for surfaces.
+/// The dimension of what points fill: halving the cells of a lattice multiplies the number of those
+/// with points in them by nearly eight for a volume, by four for surfaces.
 fn dimension(statistics: &Statistics) -> f64 {
     let bounds = ["x", "y", "z"].map(|axis| range(&statistics.sorted(axis), 0.005));
     let side = bounds.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
@@ -466,7 +480,8 @@ fn fills_volume(statistics: &Statistics) -> bool {
     dimension(statistics) > FILLING || inside(statistics) > BOX
 }
 
-/// The part of the inner cells of a cube around the points, eight along each side, that have points in them.
+/// The part of the inner cells of a cube around the points, eight along each side, that have points
+/// in them.
 fn inside(statistics: &Statistics) -> f64 {
     const CELLS: usize = 8;
     let bounds = ["x", "y", "z"].map(|axis| range(&statistics.sorted(axis), 0.005));

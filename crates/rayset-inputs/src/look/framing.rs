@@ -2,14 +2,15 @@
 
 use rayset::geometry::DVec3;
 
-/// The part of the picture's shorter side, or of whichever side is reached first, that the object fills.
+/// The part of the picture's shorter side, or of whichever side is reached first, that the object
+/// fills.
 const FILLED: f64 = 0.9;
 /// Of the points, these parts at either side may be strays, which would make everything else small…
 const STRAYS: f64 = 0.001;
 /// … if they lie farther from the others than this part of the extent of those.
 const APART: f64 = 0.2;
-/// What four in five of the points span, times this, is the most that is framed: the returns of a LiDAR from far away, and the
-/// outskirts of a halo, would make the rest small.
+/// What four in five of the points span, times this, is the most that is framed: the returns of a
+/// LiDAR from far away, and the outskirts of a halo, would make the rest small.
 const CORE: f64 = 4.0;
 /// Fewer points than these have no core.
 const FEW: usize = 500;
@@ -22,13 +23,14 @@ const ROUNDS: usize = 24;
 #[derive(Clone, Copy)]
 pub(super) struct Frame {
     pub(super) position: DVec3,
-    /// Units of the picture: half its height at distance 1, or half its height of an orthographic one.
+    /// Units of the picture: half its height at distance 1, or half its height of an orthographic
+    /// one.
     pub(super) half_height: f64,
 }
 
-/// The frame of points for a camera that looks along `direction` with `up`, both of length one and at right angles to each
-/// other. `tangent` is that of half the vertical field of view; `None` of an orthographic camera. Each point is given with
-/// its radius.
+/// The frame of points for a camera that looks along `direction` with `up`, both of length one and
+/// at right angles to each other. `tangent` is that of half the vertical field of view; `None` of
+/// an orthographic camera. Each point is given with its radius.
 pub(super) fn frame(
     points: &[(DVec3, f64)],
     direction: DVec3,
@@ -45,8 +47,8 @@ pub(super) fn frame(
         let position = center - direction * (along.half() + 2.0 * half);
         return Frame { position, half_height: half / FILLED };
     };
-    // Seen from nearby, what is in front is larger: the camera is moved until what it sees is in the middle and fills the
-    // frame.
+    // Seen from nearby, what is in front is larger: the camera is moved until what it sees is in
+    // the middle and fills the frame.
     let mut position = center - direction * (along.half() + half / tangent);
     for _ in 0..ROUNDS {
         let seen = |axis: DVec3| {
@@ -84,8 +86,8 @@ impl Axis {
     }
 }
 
-/// The frame of the first camera of a turntable, from which all of them see all points: as [`frame`], but points count
-/// wherever they come to lie while the camera turns about `axis`.
+/// The frame of the first camera of a turntable, from which all of them see all points: as
+/// [`frame`], but points count wherever they come to lie while the camera turns about `axis`.
 pub(super) fn turning_frame(
     points: &[(DVec3, f64)],
     axis: Axis,
@@ -100,7 +102,8 @@ pub(super) fn turning_frame(
     let across = axis.up.any_orthonormal_vector();
     let sides = [across, axis.up.cross(across), axis.up];
     let spreads = sides.map(|side| spread_along(points, side));
-    // All that matters of a point is how far from the axis it is, and how far along it: once round it is everywhere.
+    // All that matters of a point is how far from the axis it is, and how far along it: once round
+    // it is everywhere.
     let is_framed = |p: DVec3| sides.iter().zip(spreads).all(|(side, spread)| spread.has(p.dot(*side)));
     let framed = points.iter().filter(|(p, _)| is_framed(*p)).map(|&(p, r)| {
         let offset = p - axis.center;
@@ -113,8 +116,8 @@ pub(super) fn turning_frame(
         .map(|(sine, cosine)| sides[0] * cosine + sides[1] * sine)
         .collect();
     let half = framed.iter().fold(1e-300_f64, |half, (off, along, r)| half.max(off.hypot(*along) + r));
-    // What is seen by a camera at a place, across and upward, from the lowest to the highest; `scale` is what lengths in
-    // a depth are divided by.
+    // What is seen by a camera at a place, across and upward, from the lowest to the highest;
+    // `scale` is what lengths in a depth are divided by.
     let seen = |position: DVec3, scale: &dyn Fn(f64) -> f64| {
         let (mut widest, mut low, mut high) = (0.0_f64, f64::INFINITY, f64::NEG_INFINITY);
         for &(off, along, r) in &framed {
@@ -144,8 +147,8 @@ pub(super) fn turning_frame(
     Frame { position, half_height: tangent }
 }
 
-/// What is left of points if those in other places, far away, are left out, and how far the largest of these is away, if it is
-/// more than a few strays.
+/// What is left of points if those in other places, far away, are left out, and how far the largest
+/// of these is away, if it is more than a few strays.
 pub(super) fn one_place(mut points: Vec<(DVec3, f64)>) -> (Vec<(DVec3, f64)>, Option<f64>) {
     /// Places are told apart if what is between them is this many times as long as the larger one.
     const EMPTY: f64 = 10.0;
@@ -176,15 +179,16 @@ pub(super) fn one_place(mut points: Vec<(DVec3, f64)>) -> (Vec<(DVec3, f64)>, Op
     (points, away)
 }
 
-/// The least and the largest coordinates of what is framed, whichever side it is seen from. Each point is given with its radius.
+/// The least and the largest coordinates of what is framed, whichever side it is seen from. Each
+/// point is given with its radius.
 pub(super) fn reach(points: &[(DVec3, f64)]) -> [DVec3; 2] {
     let along = |axis: usize| spread(points.iter().map(|&(p, r)| (p[axis], SEEN * r)));
     let spreads = [0, 1, 2].map(along);
     [spreads.map(|s| s.low).into(), spreads.map(|s| s.high).into()]
 }
 
-/// The outermost places of the points within a box, each with its radius, in directions that are spread evenly: what frames them frames
-/// all.
+/// The outermost places of the points within a box, each with its radius, in directions that are
+/// spread evenly: what frames them frames all.
 pub(super) fn outline(points: &[(DVec3, f64)], [low, high]: [DVec3; 2]) -> Vec<DVec3> {
     /// Directions besides the six of the axes.
     const DIRECTIONS: usize = 58;
@@ -249,7 +253,8 @@ fn spread(intervals: impl Iterator<Item = (f64, f64)>) -> Spread {
     let at = |sorted: &[f64], part: f64| sorted[(part * (sorted.len() - 1) as f64) as usize];
     let (from, to) = (at(&lows, 0.1), at(&highs, 0.9));
     let (middle, most) = (0.5 * (from + to), 0.5 * CORE * (to - from));
-    // The outermost that are within, and not the bounds themselves, between which there may be nothing.
+    // The outermost that are within, and not the bounds themselves, between which there may be
+    // nothing.
     let inner = |v: f64| (middle - most..=middle + most).contains(&v);
     let least = lows.iter().copied().find(|&v| inner(v)).unwrap_or(from);
     let largest = highs.iter().copied().rfind(|&v| inner(v)).unwrap_or(to);

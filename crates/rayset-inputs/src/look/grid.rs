@@ -14,11 +14,13 @@ use crate::style::LookName;
 
 /// Values of a sample.
 const SAMPLE_VALUES: usize = 1 << 15;
-/// Values at or beyond this are marks of places without one, as 9.97e36 and 1e20 are: scenes know numbers up to 1e18.
+/// Values at or beyond this are marks of places without one, as 9.97e36 and 1e20 are: scenes know
+/// numbers up to 1e18.
 const MARKS: f64 = 1e17;
 /// Largest number of a scene.
 const LARGEST: f64 = 1e18;
-/// Values of which the largest are smaller than this are too close together for scenes, whose numbers differ by 1e-18.
+/// Values of which the largest are smaller than this are too close together for scenes, whose
+/// numbers differ by 1e-18.
 const TINY: f64 = 1e-12;
 /// Surfaces without colours.
 const PLAIN: &str = "#dbccb2";
@@ -226,7 +228,8 @@ impl GridLook {
         (self.curve(stops), map, (low, high))
     }
 
-    /// Colours and opacity by the logarithm, as of gas: the rarest values are solid, and most of what is shown is thin.
+    /// Colours and opacity by the logarithm, as of gas: the rarest values are solid, and most of
+    /// what is shown is thin.
     fn logarithmic(&self) -> (Value, Value, (f64, f64)) {
         /// Points of the curve, evenly spaced in the logarithm.
         const KNOTS: usize = 64;
@@ -243,7 +246,8 @@ impl GridLook {
         (low, high.max(1.1 * low))
     }
 
-    /// Values about 0 are left out; those far from it are solid, on either side in a colour of their own.
+    /// Values about 0 are left out; those far from it are solid, on either side in a colour of
+    /// their own.
     fn diverging(&self) -> (Value, Value, (f64, f64)) {
         let mut sizes: Vec<f64> = self.shown.iter().map(|v| v.abs()).collect();
         sizes.sort_by(f64::total_cmp);
@@ -294,7 +298,8 @@ impl GridLook {
         scene["rendering"]["unitDistance"] = json!(unit.max(1e-17));
         if shows_labels {
             scene["rendering"]["ambientOcclusion"] = json!(0.7);
-            // Steps of a quarter of a voxel: a first sample that lies deeper may have the shading of another side.
+            // Steps of a quarter of a voxel: a first sample that lies deeper may have the shading
+            // of another side.
             scene["rendering"]["stepFraction"] = json!(0.125);
         }
     }
@@ -344,7 +349,8 @@ fn corners(grid: &Grid) -> [DVec3; 8] {
     })
 }
 
-/// Whether scenes can hold the values: what [`crate::open`] builds is scaled, other grids may not be.
+/// Whether scenes can hold the values: what [`crate::open`] builds is scaled, other grids may not
+/// be.
 fn check_range(grid: &Grid, values: &[f64]) -> Result<()> {
     let largest = values.iter().fold(0.0_f64, |largest, v| largest.max(v.abs()));
     let what = if values.is_empty() {

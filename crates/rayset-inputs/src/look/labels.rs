@@ -1,4 +1,5 @@
-//! The look of label maps: a colour for each label, none of them mixed, and names where the file has them.
+//! The look of label maps: a colour for each label, none of them mixed, and names where the file
+//! has them.
 
 use rayset::file::GridHeader;
 use serde_json::{Value, json};
@@ -58,7 +59,8 @@ impl LabelLook {
         (!shown.is_empty()).then_some(Self { shown, background, said, are_regions })
     }
 
-    /// Whether the grid is to be seen so, if nothing else is said; `are_known` is whether its values are known to be others.
+    /// Whether the grid is to be seen so, if nothing else is said; `are_known` is whether its
+    /// values are known to be others.
     pub(super) fn is_suggested(&self, are_known: bool) -> bool {
         self.said || self.are_regions && !are_known
     }

@@ -1,8 +1,8 @@
 //! What points or voxels look like if nobody says so: a scene chosen from what is in the file.
 //!
-//! A look is a scene file, the same as one that a person would write (`--write-scene` keeps it), and everything in it is a
-//! function of the file and of the options: a sample of the points, the header, the size of the picture. Crops, parts and
-//! execution settings have no influence.
+//! A look is a scene file, the same as one that a person would write (`--write-scene` keeps it),
+//! and everything in it is a function of the file and of the options: a sample of the points, the
+//! header, the size of the picture. Crops, parts and execution settings have no influence.
 
 mod apply;
 mod choose;

@@ -1,6 +1,7 @@
 //! Colours of classes.
 
-/// The classes of the LAS specification (ASPRS, LAS 1.4 R15, table 17) in colours that such maps customarily have.
+/// The classes of the LAS specification (ASPRS, LAS 1.4 R15, table 17) in colours that such maps
+/// customarily have.
 const LAS: [&str; 23] = [
     "#9a9a9a", // never classified
     "#b4b4b4", // unclassified
@@ -33,8 +34,8 @@ const OTHERS: [&str; 10] = [
     "#bab0ac",
 ];
 
-/// The stops of a palette without anything between two classes, and the values at its ends. `customary` is whether the
-/// classes are those of LAS files.
+/// The stops of a palette without anything between two classes, and the values at its ends.
+/// `customary` is whether the classes are those of LAS files.
 pub(super) fn of_classes(least: f64, largest: f64, customary: bool) -> (serde_json::Value, (f64, f64)) {
     /// Of more classes, several share a colour.
     const MOST: f64 = 256.0;
@@ -56,8 +57,8 @@ pub(super) fn of_classes(least: f64, largest: f64, customary: bool) -> (serde_js
     (stops.into(), (first - 0.5, first + count - 0.5))
 }
 
-/// The colour of the label of a number, from 0: those of `OTHERS` first, then hues that turn by the golden angle, which are never
-/// near those of the latest ones, in three degrees of lightness.
+/// The colour of the label of a number, from 0: those of `OTHERS` first, then hues that turn by the
+/// golden angle, which are never near those of the latest ones, in three degrees of lightness.
 pub(super) fn of_label(number: usize) -> String {
     let Some(turns) = number.checked_sub(OTHERS.len()) else { return OTHERS[number].to_owned() };
     let hue = (turns as f64 * 137.507_764).to_radians();
@@ -66,7 +67,8 @@ pub(super) fn of_label(number: usize) -> String {
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
 
-/// The bytes of sRGB of a colour in Oklab (Ottosson 2020), in cylindrical coordinates; what displays cannot show is cut.
+/// The bytes of sRGB of a colour in Oklab (Ottosson 2020), in cylindrical coordinates; what
+/// displays cannot show is cut.
 fn of_oklch(lightness: f64, chroma: f64, hue: f64) -> [u8; 3] {
     let (a, b) = (chroma * hue.cos(), chroma * hue.sin());
     let long = (lightness + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);

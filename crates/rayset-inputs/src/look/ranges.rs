@@ -1,4 +1,5 @@
-//! The values at the ends of a colour map: numbers, or percentiles of a sample; and maps over the logarithm.
+//! The values at the ends of a colour map: numbers, or percentiles of a sample; and maps over the
+//! logarithm.
 
 use anyhow::{Result, bail, ensure};
 use rayset::scene::{Colormap, Palette};
@@ -7,8 +8,8 @@ use serde_json::{Value, json};
 use super::statistics::percentile;
 use crate::style::{End, ValueRange};
 
-/// Colours of a map over the logarithm, evenly spaced: straight lines between them differ from the curve by less than
-/// what shows.
+/// Colours of a map over the logarithm, evenly spaced: straight lines between them differ from the
+/// curve by less than what shows.
 const KNOTS: usize = 256;
 
 impl ValueRange {
@@ -42,8 +43,8 @@ impl ValueRange {
     }
 }
 
-/// A map over the logarithm of values from `low` to `high`, as a scene file has it: its stops stand closer where values
-/// are small. `color` is what the scene has.
+/// A map over the logarithm of values from `low` to `high`, as a scene file has it: its stops stand
+/// closer where values are small. `color` is what the scene has.
 pub(super) fn over_logarithm(color: &Value, (low, high): (f64, f64)) -> Result<Value> {
     if !(low > 0.0 && high > 0.0) {
         bail!("--log: the value range {low}:{high} must be above 0; say --value-range LOW:HIGH or 5%:99%");

@@ -1,4 +1,5 @@
-//! What the shape of points says: on what a thing stands, where its front is, and whether it is a relief or ground.
+//! What the shape of points says: on what a thing stands, where its front is, and whether it is a
+//! relief or ground.
 
 use rayset::geometry::DVec3;
 
@@ -7,7 +8,8 @@ use super::statistics::{Statistics, range};
 /// Cells along the longer side of what is seen from one direction.
 const CELLS: f64 = 48.0;
 
-/// A picture of points from one direction: the height of the nearest in each cell, in widths of a cell.
+/// A picture of points from one direction: the height of the nearest in each cell, in widths of a
+/// cell.
 struct Relief {
     columns: usize,
     rows: usize,
@@ -17,7 +19,8 @@ struct Relief {
 }
 
 impl Relief {
-    /// Of points as they are seen against `up`, which points at the eye; `None` of what has no extent.
+    /// Of points as they are seen against `up`, which points at the eye; `None` of what has no
+    /// extent.
     fn of(statistics: &Statistics, up: DVec3, cells: f64) -> Option<Self> {
         let across = up.any_orthonormal_vector();
         let sides = [across, up.cross(across), up];
@@ -60,7 +63,8 @@ impl Relief {
         })
     }
 
-    /// How uneven it is: how far cells stand out from between their neighbours, in widths of a cell, on average.
+    /// How uneven it is: how far cells stand out from between their neighbours, in widths of a
+    /// cell, on average.
     fn detail(&self) -> f64 {
         let uneven = self.cells().filter_map(|(height, around)| {
             let sum = around.into_iter().sum::<Option<f64>>()?;
@@ -71,7 +75,8 @@ impl Relief {
     }
 }
 
-/// Whether the back of a thing has clearly more detail than its front, so that it is the front: a face, folds, hands.
+/// Whether the back of a thing has clearly more detail than its front, so that it is the front: a
+/// face, folds, hands.
 pub(super) fn is_seen_from_behind(statistics: &Statistics, facing: DVec3) -> bool {
     /// Sides of a thing whose details differ by less are alike.
     const MORE: f64 = 1.15;
@@ -79,14 +84,16 @@ pub(super) fn is_seen_from_behind(statistics: &Statistics, facing: DVec3) -> boo
     detail(facing) > MORE * detail(-facing)
 }
 
-/// Whether points are the relief of a thing, as a face is, seen along an axis: its middle stands out from an edge that is steep
-/// and low all around, toward `up` or away from it, which is returned. Ground has edges of any height.
+/// Whether points are the relief of a thing, as a face is, seen along an axis: its middle stands
+/// out from an edge that is steep and low all around, toward `up` or away from it, which is
+/// returned. Ground has edges of any height.
 pub(super) fn relief(statistics: &Statistics, up: DVec3) -> Option<DVec3> {
     /// Cells along the longer side: each has several points of a sample.
     const COARSE: f64 = 24.0;
     /// Ground is flatter, by its height over its longer side.
     const LEAST: f64 = 0.15;
-    /// How much higher the middle is than the edge, on average, and how high it is, of the whole height.
+    /// How much higher the middle is than the edge, on average, and how high it is, of the whole
+    /// height.
     const ABOVE: f64 = 0.2;
     const HIGH: f64 = 0.45;
     [up, -up].into_iter().find(|&toward| {
@@ -106,8 +113,8 @@ pub(super) fn relief(statistics: &Statistics, up: DVec3) -> Option<DVec3> {
     })
 }
 
-/// How well a thing would stand with an axis up: the part of its footprint that what it touches the ground with spans; 0 if it
-/// would fall over.
+/// How well a thing would stand with an axis up: the part of its footprint that what it touches the
+/// ground with spans; 0 if it would fall over.
 pub(super) fn stance(statistics: &Statistics, up: DVec3) -> f64 {
     /// What lies within this part of the height above the lowest place touches the ground.
     const TOUCHES: f64 = 0.02;

@@ -8,7 +8,8 @@ use rayset::file::Header;
 use rayset::geometry::DVec3;
 use rayset::points::{PointBatch, Schema};
 
-/// Points of a sample: enough for percentiles to a hundredth, few enough for the smallest memory budgets.
+/// Points of a sample: enough for percentiles to a hundredth, few enough for the smallest memory
+/// budgets.
 const SAMPLE_POINTS: usize = 1 << 14;
 
 /// A sample of a cloud's points. Cheap to clone.
@@ -52,7 +53,8 @@ impl Statistics {
         self.sample.batch.position.iter().map(|&p| DVec3::from_array(p))
     }
 
-    /// The finite values of a column, or of a coordinate, in ascending order; empty if there is no such column.
+    /// The finite values of a column, or of a coordinate, in ascending order; empty if there is no
+    /// such column.
     pub(super) fn sorted(&self, name: &str) -> Vec<f64> {
         let column = self.sample.schema.columns.iter().position(|column| column.name == name);
         let axis = ["x", "y", "z"].iter().position(|axis| *axis == name);
@@ -115,8 +117,8 @@ impl Statistics {
         self.sorted(name).chunk_by(|a, b| a == b).count()
     }
 
-    /// The largest channels of the points' colours, 0 to 1, as displayed, ascending; without black ones, which are mostly points
-    /// without a colour.
+    /// The largest channels of the points' colours, 0 to 1, as displayed, ascending; without black
+    /// ones, which are mostly points without a colour.
     pub(super) fn brightnesses(&self, header: &Header) -> Vec<f64> {
         if !header.has_color {
             return Vec::new();
@@ -142,7 +144,8 @@ pub(super) fn percentile(sorted: &[f64], fraction: f64) -> f64 {
     sorted.get((fraction * last).round() as usize).copied().unwrap_or(0.0)
 }
 
-/// The values between which all but a fraction at either end lie, apart from each other even if all values are the same.
+/// The values between which all but a fraction at either end lie, apart from each other even if all
+/// values are the same.
 pub(super) fn range(sorted: &[f64], left_out: f64) -> (f64, f64) {
     let (low, high) = (percentile(sorted, left_out), percentile(sorted, 1.0 - left_out));
     if high > low { (low, high) } else { (low, low + low.abs().max(1.0) * 1e-3) }

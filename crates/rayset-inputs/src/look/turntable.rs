@@ -15,7 +15,8 @@ pub struct Turntable {
 }
 
 impl Turntable {
-    /// Of a scene that has its own camera: the axis is what that camera has up, through the middle of the scene.
+    /// Of a scene that has its own camera: the axis is what that camera has up, through the middle
+    /// of the scene.
     #[must_use]
     pub fn of_scene(scene: &Scene, camera: &Camera) -> Self {
         let bounds = scene.root.bounds();
@@ -39,8 +40,8 @@ impl Turntable {
     }
 }
 
-/// The first camera of a turntable of a scene. One that frames the scene because nothing else is said goes as far back as all of
-/// the others need; others stay where they are.
+/// The first camera of a turntable of a scene. One that frames the scene because nothing else is
+/// said goes as far back as all of the others need; others stay where they are.
 #[must_use]
 pub fn standing_back(camera: &Camera, scene: &Scene, aspect: f64) -> Camera {
     /// Positions that differ by less than this part of the distance are the same.

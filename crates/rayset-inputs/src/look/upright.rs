@@ -8,7 +8,8 @@ use super::shape::{is_seen_from_behind, relief, stance};
 use super::statistics::{Statistics, range};
 use super::view::Orientation;
 
-/// Scans of less than this along every side are of things on a turntable, whose files have y up by custom.
+/// Scans of less than this along every side are of things on a turntable, whose files have y up by
+/// custom.
 const OBJECT: f64 = 1.0;
 /// Things in the unit ball about the origin, as collections of models have them, reach this far.
 const UNIT: f64 = 1.01;
@@ -20,13 +21,16 @@ const ROOM: std::ops::Range<f64> = 2.0..6.0;
 const PERSON: std::ops::Range<f64> = 1.2..2.4;
 /// Coordinates from here on are those of a map.
 const MAP: f64 = 1e4;
-/// Distances of places near the surface of the Earth from its middle, in metres: at poles, under the sea, on mountains.
+/// Distances of places near the surface of the Earth from its middle, in metres: at poles, under
+/// the sea, on mountains.
 const EARTH: std::ops::Range<f64> = 6.33e6..6.40e6;
-/// Of what is larger than this, in metres, the surface of the Earth is bent too much for one direction to be up.
+/// Of what is larger than this, in metres, the surface of the Earth is bent too much for one
+/// direction to be up.
 const BENT: f64 = 2e5;
 
-/// Whether points are where a depth camera sees them from the origin, which has x to the right, y down and z ahead: all within
-/// its field of view. Of files that may be anything, `is_of_sensor` false, the view is filled to both sides.
+/// Whether points are where a depth camera sees them from the origin, which has x to the right, y
+/// down and z ahead: all within its field of view. Of files that may be anything, `is_of_sensor`
+/// false, the view is filled to both sides.
 fn is_camera_frame(statistics: &Statistics, is_of_sensor: bool) -> bool {
     /// Of depth cameras, at most: the tangent of half their field of view.
     const TANGENT: f64 = 1.2;
@@ -70,7 +74,8 @@ impl Extents {
         self.sides[axis] < part * self.others(axis).fold(f64::INFINITY, f64::min)
     }
 
-    /// What is up of Earth-centred coordinates: the direction from the middle of the Earth; `None` of others.
+    /// What is up of Earth-centred coordinates: the direction from the middle of the Earth; `None`
+    /// of others.
     fn away_from_earth(&self) -> Option<DVec3> {
         let middle = DVec3::from_array(self.middle);
         let is_near = EARTH.contains(&middle.length()) && self.sides[self.long] < BENT;
@@ -102,7 +107,8 @@ impl Extents {
     }
 }
 
-/// The direction against that in which particles fall, y or z; `None` if they have no velocities, or others than that.
+/// The direction against that in which particles fall, y or z; `None` if they have no velocities,
+/// or others than that.
 fn against_the_fall(statistics: &Statistics) -> Option<DVec3> {
     /// Of the root of the mean square speed, the part that is common to all that falls.
     const COMMON: f64 = 0.8;
@@ -144,7 +150,8 @@ fn is_site(header: &Header, extents: &Extents) -> bool {
     if is_building && is_scan(header) && thin == 2 {
         return true;
     }
-    // Of a building as wide as it is high, the extents say nothing; things in colours are not as large.
+    // Of a building as wide as it is high, the extents say nothing; things in colours are not as
+    // large.
     let is_metric = said("PLY") && is_building && is_scan(header) && !extents.is_thin(1, 0.6);
     let is_room = said("PLY") && is_building && extents.is_thin(2, 0.6) && ROOM.contains(&sides[2]);
     is_metric || is_room
@@ -211,8 +218,8 @@ fn of_relief(statistics: &Statistics, extents: &Extents, of_things: bool) -> Opt
     Some(Orientation::with_up(up, "a relief that faces the reader").toward_front(Some(-toward_eye)))
 }
 
-/// A thing of which neither extents nor columns say what is up: the custom of such files, unless it would fall over so and
-/// stand well with z up.
+/// A thing of which neither extents nor columns say what is up: the custom of such files, unless it
+/// would fall over so and stand well with z up.
 fn of_thing(statistics: &Statistics, reason: &'static str) -> Orientation {
     /// What stands well touches the ground with this part of its footprint, at least …
     const WELL: f64 = 0.2;

@@ -23,7 +23,8 @@ pub(super) struct Orientation {
     pub(super) up: DVec3,
     /// The direction in which one looks at the front.
     pub(super) facing: DVec3,
-    /// What is up in a picture from above: the direction in which such data customarily are looked at, or a file says that they are.
+    /// What is up in a picture from above: the direction in which such data customarily are looked
+    /// at, or a file says that they are.
     pub(super) ahead: DVec3,
     /// Why.
     pub(super) reason: &'static str,
@@ -103,7 +104,8 @@ impl CameraChoice<'_> {
         (self.turns && self.style.position.is_none()).then(|| Axis::of(points, orientation.up))
     }
 
-    /// The camera of a scene file that sees `points`, each with its radius, in a picture of this aspect ratio.
+    /// The camera of a scene file that sees `points`, each with its radius, in a picture of this
+    /// aspect ratio.
     pub(super) fn scene(
         &self,
         orientation: &Orientation,

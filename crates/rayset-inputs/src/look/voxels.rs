@@ -16,7 +16,8 @@ pub(super) enum Content {
     Body,
     /// A field of a simulation or a measurement.
     Field,
-    /// Nothing below 0, and values over several orders of magnitude, of which the largest are rare: densities.
+    /// Nothing below 0, and values over several orders of magnitude, of which the largest are rare:
+    /// densities.
     Density,
     /// As far below 0 as above, most of it near 0: waves, differences.
     Signed,
@@ -25,7 +26,8 @@ pub(super) enum Content {
 }
 
 impl Content {
-    /// What voxels hold, of a sample of their values in ascending order, what their reader says, and whether they are of a body.
+    /// What voxels hold, of a sample of their values in ascending order, what their reader says,
+    /// and whether they are of a body.
     pub(super) fn of(sorted: &[f64], sources: &[String], is_body: bool) -> Self {
         let (least, largest) = (percentile(sorted, 0.0), percentile(sorted, 1.0));
         if sources.iter().any(|about| about.starts_with(LEVEL_SET)) {
@@ -74,7 +76,8 @@ impl Background {
             }
             Content::Density => {
                 let positive = &sorted[sorted.partition_point(|&v| v <= 0.0)..];
-                // Where most voxels are empty, those that are not are shown; else those above the median.
+                // Where most voxels are empty, those that are not are shown; else those above the
+                // median.
                 let is_sparse = 2 * positive.len() < sorted.len();
                 Self::Below(if is_sparse { 0.0 } else { percentile(positive, 0.5) })
             }
@@ -108,7 +111,8 @@ impl std::fmt::Display for Background {
     }
 }
 
-/// A value as people read it: of very small and very large ones the first digits and a power of ten.
+/// A value as people read it: of very small and very large ones the first digits and a power of
+/// ten.
 pub(super) fn number(value: f64) -> String {
     let is_plain = value == 0.0 || (1e-3..1e6).contains(&value.abs());
     if is_plain { format!("{value:.4}") } else { format!("{value:.3e}") }
@@ -120,14 +124,15 @@ fn part(sorted: &[f64], low: f64, high: f64) -> f64 {
     (below(high) - below(low)) / sorted.len().max(1) as f64
 }
 
-/// Whether there is air among Hounsfield units: more of it than of what is between air and tissue, of which bodies have little.
+/// Whether there is air among Hounsfield units: more of it than of what is between air and tissue,
+/// of which bodies have little.
 fn has_air(sorted: &[f64]) -> bool {
     let air = part(sorted, -1100.0, -900.0);
     air > 0.005 && air > part(sorted, -700.0, -500.0)
 }
 
-/// Whether most of what is above 0 is far below the largest values, and these are rare. Pictures of bodies and of things
-/// have more of one brightness.
+/// Whether most of what is above 0 is far below the largest values, and these are rare. Pictures of
+/// bodies and of things have more of one brightness.
 fn is_density(sorted: &[f64]) -> bool {
     let positive = &sorted[sorted.partition_point(|&v| v <= 0.0)..];
     let [half, rare, rarest] = [0.5, 0.99, 0.999].map(|part| percentile(positive, part));
@@ -163,8 +168,8 @@ fn mode(sorted: &[f64]) -> f64 {
     low + (most as f64 + 0.5) / 256.0 * (high - low)
 }
 
-/// The value that parts the background from the rest: Otsu's (1979), which makes both parts as uniform as possible, moved
-/// toward the background, so that faint tissue shows.
+/// The value that parts the background from the rest: Otsu's (1979), which makes both parts as
+/// uniform as possible, moved toward the background, so that faint tissue shows.
 fn threshold(sorted: &[f64], mode: f64) -> f64 {
     let (n, total): (f64, f64) = (sorted.len() as f64, sorted.iter().sum());
     let (mut below, mut best) = (0.0, (0.0, mode));

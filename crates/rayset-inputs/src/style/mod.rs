@@ -1,8 +1,8 @@
 //! A style: the options that override the look chosen for a cloud or a grid, and its camera.
 //!
-//! [`OPTIONS`] defines each option once: its name, its help and its kind of value. Five things are derived from it: the
-//! options of the program, the messages of the viewer's pages, the arguments in Python, the written scene and the words of
-//! an exported command.
+//! [`OPTIONS`] defines each option once: its name, its help and its kind of value. Five things are
+//! derived from it: the options of the program, the messages of the viewer's pages, the arguments
+//! in Python, the written scene and the words of an exported command.
 
 mod error;
 mod json;

@@ -58,7 +58,8 @@ macro_rules! style {
             $(, needs $needs:expr)?
         );+ $(;)?}
     )+) => {
-        /// Options for the look of a cloud or grid and for its camera. Unset options are chosen from the data.
+        /// Options for the look of a cloud or grid and for its camera. Unset options are chosen
+        /// from the data.
         #[derive(Clone, Debug, Default, PartialEq)]
         pub struct Style {
             $($($(#[doc = $help])+ pub $name: Option<$value>,)+)+
@@ -103,27 +104,31 @@ style! {
     Look {
         /// Look; chosen from the data by default, and said
         look: LookName = Word;
-        /// Kernel: wyvill (by default), chen, gaussian, cubic-spline, wendland-c2, epanechnikov, triweight
+        /// Kernel: wyvill (by default), chen, gaussian, cubic-spline, wendland-c2, epanechnikov,
+        /// triweight
         kernel: Kernel = Named;
-        /// Kernels integrate to one (smoothed-particle hydrodynamics); left out where weights are densities already, as
-        /// those of snapshots are
+        /// Kernels integrate to one (smoothed-particle hydrodynamics); left out where weights are
+        /// densities already, as those of snapshots are
         normalised: Flag = Switch;
         /// Radii of the points, as a factor of those in the file, 0.001 to 1000
         radius_scale: f64 = Number(1e-3, 1e3);
-        /// Opacity from density, or from a grid's values: clamp, extinction:K, or a curve like 0:0,1:0.5,4:1
+        /// Opacity from density, or from a grid's values: clamp, extinction:K, or a curve like
+        /// 0:0,1:0.5,4:1
         opacity: OpacityRule = Opacity;
         /// Length that opacity refers to, in units of the input
         unit_distance: f64 = LENGTH;
         /// One colour for all, as #c8b090
         color: Rgb = Color, excludes ["colormap", "color-by"];
-        /// Colour map: viridis, inferno, magma, plasma, turbo, grey, coolwarm, cividis, thermal, haline, deep, dense, ice,
-        /// balance, RdBu, terrain; with _r reversed
+        /// Colour map: viridis, inferno, magma, plasma, turbo, grey, coolwarm, cividis, thermal,
+        /// haline, deep, dense, ice, balance, RdBu, terrain; with _r reversed
         colormap: Colormap = Named;
         /// What the colour map shows: density, a stored attribute, or a coordinate: x, y, z, height
         color_by: String = Text;
-        /// Values at the ends of the colour map: numbers, as 0:10, or percentiles of what it shows, as 1%:99%
+        /// Values at the ends of the colour map: numbers, as 0:10, or percentiles of what it shows,
+        /// as 1%:99%
         value_range: ValueRange = Range;
-        /// The colour map is over the logarithm; from 1 % to 99 % of the positive values, if --value-range says nothing
+        /// The colour map is over the logarithm; from 1 % to 99 % of the positive values, if
+        /// --value-range says nothing
         log: Flag = Switch;
         /// Light: from the eye, or none
         shading: Shading = Word;
@@ -133,9 +138,11 @@ style! {
         background: Background = Behind;
         /// Distance between samples, in units of the input, or `auto` (by default)
         step: StepLength = Step;
-        /// Automatic distance between samples as a fraction of the radius, 0.001 to 4; 0.25 by default
+        /// Automatic distance between samples as a fraction of the radius, 0.001 to 4; 0.25 by
+        /// default
         step_fraction: f64 = Number(1e-3, 4.0);
-        /// Samples of a ray begin half a step from the eye (by default), or a different fraction for each pixel
+        /// Samples of a ray begin half a step from the eye (by default), or a different fraction
+        /// for each pixel
         phase: Phase = Word;
         /// Rays end where less than this is seen through, 0 to 0.999; 0.01 by default
         stop: f64 = Number(0.0, 0.999);
@@ -147,7 +154,8 @@ style! {
         position: [f64; 3] = Vector(values::vector);
         /// What the eye looks at; the middle of the input by default
         look_at: [f64; 3] = Vector(values::vector), excludes ["direction"], needs ["position"];
-        /// Viewing direction: with an eye instead of --look-at, without one to frame the input from another side
+        /// Viewing direction: with an eye instead of --look-at, without one to frame the input from
+        /// another side
         direction: [f64; 3] = Vector(values::direction);
         /// Up: x, y, z, -x, -y, -z or a vector; chosen from the data by default
         up: [f64; 3] = Vector(values::axis);

@@ -1,5 +1,5 @@
-//! The inner loop in isolation: 64 samples against points in cache. It measures the peak throughput of a processor, for
-//! comparison with that of a render.
+//! The inner loop in isolation: 64 samples against points in cache. It measures the peak throughput
+//! of a processor, for comparison with that of a render.
 
 use fearless_simd::f32x16;
 use fearless_simd::prelude::*;
@@ -9,8 +9,8 @@ use super::{SimdLevel, dispatch};
 /// Number of samples evaluated together.
 pub const BARE_SAMPLES: usize = 64;
 
-/// Adds the contribution of every point (x, y, z, 1/r², weight) to 64 samples and returns their densities; one kernel
-/// evaluation per pair of point and sample.
+/// Adds the contribution of every point (x, y, z, 1/r², weight) to 64 samples and returns their
+/// densities; one kernel evaluation per pair of point and sample.
 #[must_use]
 pub fn bare_loop(
     simd: SimdLevel,

@@ -6,7 +6,8 @@ use super::pairs::Pairs;
 use super::run::DecodedRun;
 use rayset_files::octree::layout::RUN_POINTS;
 
-/// Most runs of a batch: more than a slab of an opaque cloud mostly needs, and few enough for the second cache.
+/// Most runs of a batch: more than a slab of an opaque cloud mostly needs, and few enough for the
+/// second cache.
 pub(super) const MOST_RUNS: usize = 8;
 
 /// The most bytes that a batch takes, of points with up to eight attributes.

@@ -1,4 +1,5 @@
-//! Points by columns, as they are tested against rays: those of a run, or the ones among them that are near some rays.
+//! Points by columns, as they are tested against rays: those of a run, or the ones among them that
+//! are near some rays.
 
 use rayset_files::octree::layout::RUN_POINTS;
 
@@ -37,7 +38,8 @@ impl Default for PointColumns {
 }
 
 impl PointColumns {
-    /// Becomes those of a run's points whose bits are set. Returns a bit for each chunk that they take.
+    /// Becomes those of a run's points whose bits are set. Returns a bit for each chunk that they
+    /// take.
     #[inline(always)]
     pub(super) fn select(&mut self, run: &Self, points: [u64; 2]) -> u64 {
         let mut len = 0;

@@ -6,8 +6,8 @@
 pub struct SplatCounts {
     /// Pairs of a ray and a point that were tested.
     pub pairs_tested: u64,
-    /// Pairs that were added to samples, counted once for each block of 8 samples (once per slab for runs evaluated in
-    /// `f64`).
+    /// Pairs that were added to samples, counted once for each block of 8 samples (once per slab
+    /// for runs evaluated in `f64`).
     pub pairs_added: u64,
     /// Kernel evaluations, including those at samples that the point does not reach.
     pub kernel_evaluations: u64,

@@ -1,8 +1,9 @@
-//! Neighbouring rays of a packet, which look for their points together: a bound of the rays within reach of a run, and
-//! the points near it.
+//! Neighbouring rays of a packet, which look for their points together: a bound of the rays within
+//! reach of a run, and the points near it.
 //!
-//! The bound is a line, in the coordinates of `lane_ray`, and the distance from it that no ray exceeds as far as the run
-//! reaches. A point that reaches a ray is within its radius and that distance of the line.
+//! The bound is a line, in the coordinates of `lane_ray`, and the distance from it that no ray
+//! exceeds as far as the run reaches. A point that reaches a ray is within its radius and that
+//! distance of the line.
 
 use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
@@ -14,7 +15,8 @@ use super::run::DecodedRun;
 
 /// Lanes of a group: neighbours, where packets have their rays in the order of a Z curve.
 pub(super) const GROUP: usize = 16;
-/// Rays are bounded together where that enlarges the smallest radius of a run by this part of it at most.
+/// Rays are bounded together where that enlarges the smallest radius of a run by this part of it at
+/// most.
 const MOST_GROWTH: f32 = 1.0;
 
 /// A line, and how far from it rays are at most within reach of a run.
@@ -28,7 +30,8 @@ pub(super) struct GroupLine {
 }
 
 impl GroupLine {
-    /// The bound of the lanes from `first` on. `None` if the rays are too far apart for one to be of use.
+    /// The bound of the lanes from `first` on. `None` if the rays are too far apart for one to be
+    /// of use.
     #[inline(always)]
     pub(super) fn new<S: Simd>(
         simd: S,

@@ -1,8 +1,9 @@
-//! The seven radial basis functions, in `f64` for the reference renderer and in `f32` for eight samples at a time.
+//! The seven radial basis functions, in `f64` for the reference renderer and in `f32` for eight
+//! samples at a time.
 //!
-//! A kernel ω takes x = d/r. It is 1 at x = 0 and 0 for x ≥ 1. The functions here take s = x², because all kernels but
-//! two can be evaluated from s without a square root. For gradients the useful form is ω'(x)/x = 2·dω/ds, which is
-//! finite at the centre for every kernel here.
+//! A kernel ω takes x = d/r. It is 1 at x = 0 and 0 for x ≥ 1. The functions here take s = x²,
+//! because all kernels but two can be evaluated from s without a square root. For gradients the
+//! useful form is ω'(x)/x = 2·dω/ds, which is finite at the centre for every kernel here.
 
 use std::f64::consts::PI;
 use std::fmt;
@@ -20,14 +21,15 @@ pub enum Kernel {
     /// 1 − 22/9 x² + 17/9 x⁴ − 4/9 x⁶ (Wyvill, McPheeters, Wyvill 1986). The paper's kernel.
     #[default]
     Wyvill,
-    /// (1 − x²)². The formula of Chen 2005 (*Combining Point Clouds and Volume Objects in Volume Scene Graphs*) could
-    /// not be found in any available source. This biweight, the usual quartic of implicit modelling, takes its place
-    /// until it is.
+    /// (1 − x²)². The formula of Chen 2005 (*Combining Point Clouds and Volume Objects in Volume
+    /// Scene Graphs*) could not be found in any available source. This biweight, the usual quartic
+    /// of implicit modelling, takes its place until it is.
     Chen,
-    /// (exp(−x²/2σ²) − c) / (1 − c) with σ = 1/3 and c the Gaussian's value at the cut-off, so that it is continuous at
-    /// x = 1.
+    /// (exp(−x²/2σ²) − c) / (1 − c) with σ = 1/3 and c the Gaussian's value at the cut-off, so that
+    /// it is continuous at x = 1.
     Gaussian,
-    /// The M4 cubic spline of smoothed-particle hydrodynamics with support r = 2h, scaled to a peak of 1.
+    /// The M4 cubic spline of smoothed-particle hydrodynamics with support r = 2h, scaled to a peak
+    /// of 1.
     CubicSpline,
     /// (1 − x)⁴ (4x + 1) (Wendland 1995).
     WendlandC2,
@@ -114,7 +116,8 @@ impl Kernel {
             Self::Wyvill => 4.0 * PI * (1.0 / 3.0 - 22.0 / 45.0 + 17.0 / 63.0 - 4.0 / 81.0),
             Self::Chen => 4.0 * PI * (1.0 / 3.0 - 2.0 / 5.0 + 1.0 / 7.0),
             Self::Gaussian => {
-                // ∫₀¹ x² exp(−a x²) dx = √π erf(√a)/(4 a^1.5) − exp(−a)/(2a), a = 4.5; erf(√4.5) to 16 digits.
+                // ∫₀¹ x² exp(−a x²) dx = √π erf(√a)/(4 a^1.5) − exp(−a)/(2a), a = 4.5; erf(√4.5) to
+                // 16 digits.
                 const ERF_SQRT_4_5: f64 = 0.997_300_203_936_739_8;
                 let a = 4.5_f64;
                 let moment = PI.sqrt() * ERF_SQRT_4_5 / (4.0 * a.powf(1.5)) - GAUSSIAN_CUT / (2.0 * a);
@@ -151,9 +154,9 @@ impl FromStr for Kernel {
 /// exp(−4.5), the Gaussian's value at the cut-off.
 const GAUSSIAN_CUT: f64 = 0.011_108_996_538_242_306;
 
-/// A kernel as a type, so that the inner loop is compiled separately for each. The argument is q = 1 − x², which the
-/// loop has computed already. Results are exactly zero for q ≤ 0, so that culling a pair that does not contribute never
-/// changes a bit.
+/// A kernel as a type, so that the inner loop is compiled separately for each. The argument is q =
+/// 1 − x², which the loop has computed already. Results are exactly zero for q ≤ 0, so that culling
+/// a pair that does not contribute never changes a bit.
 pub(crate) trait LaneKernel: Copy {
     /// ω for eight samples.
     fn value<S: Simd>(q: f32x8<S>) -> f32x8<S>;
@@ -242,8 +245,8 @@ lane_kernels! {
 /// exp(−4.5)/(1 − exp(−4.5)), the Gaussian's C.
 const GAUSSIAN_SCALE: f32 = (GAUSSIAN_CUT / (1.0 - GAUSSIAN_CUT)) as f32;
 
-/// The Gaussian, C (exp(4.5 q) − 1), for 0 ≤ q ≤ 1: the polynomial without a constant term, exactly zero at 0, whose
-/// largest error is least, 2.4e-8; with what is rounded, below 2e-7.
+/// The Gaussian, C (exp(4.5 q) − 1), for 0 ≤ q ≤ 1: the polynomial without a constant term, exactly
+/// zero at 0, whose largest error is least, 2.4e-8; with what is rounded, below 2e-7.
 #[inline(always)]
 fn gaussian<S: Simd>(q: f32x8<S>) -> f32x8<S> {
     let simd = q.simd;

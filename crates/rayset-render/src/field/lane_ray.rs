@@ -1,8 +1,9 @@
-//! Rays relative to a run of points: their positions nearest to the run's centre, and their samples counted from there.
+//! Rays relative to a run of points: their positions nearest to the run's centre, and their samples
+//! counted from there.
 //!
-//! The vector from a ray to a point is computed in coordinates relative to the centre of the run, with the ray's origin
-//! moved (in `f64`) to its foot, the position nearest to that centre: |c|² − t_c² with distances from the eye would
-//! lose all digits.
+//! The vector from a ray to a point is computed in coordinates relative to the centre of the run,
+//! with the ray's origin moved (in `f64`) to its foot, the position nearest to that centre: |c|² −
+//! t_c² with distances from the eye would lose all digits.
 
 use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
@@ -13,24 +14,27 @@ use super::run::DecodedRun;
 
 const COUNT: [f32; BLOCK_SAMPLES] = [0., 1., 2., 3., 4., 5., 6., 7.];
 
-/// The rays of a packet relative to a run: the foot of each ray, nearest to the run's centre, and its samples counted
-/// from there.
+/// The rays of a packet relative to a run: the foot of each ray, nearest to the run's centre, and
+/// its samples counted from there.
 #[derive(Clone, Debug)]
 pub(super) struct Frames {
     /// The foot, with reversed sign: what is added to a point to have it relative to the foot.
     pub(super) minus_foot: [[f32; LANES]; 3],
-    /// Number of the slab's first sample, counted from sample zero, which lies within one step of the foot.
+    /// Number of the slab's first sample, counted from sample zero, which lies within one step of
+    /// the foot.
     first_sample: [f32; LANES],
     /// Signed distance along the ray from the foot to sample zero.
     sample_zero: [f32; LANES],
-    /// The range of distances along the ray of the slab's samples, measured from the foot, or slightly more.
+    /// The range of distances along the ray of the slab's samples, measured from the foot, or
+    /// slightly more.
     pub(super) start: [f32; LANES],
     pub(super) end: [f32; LANES],
-    /// Where the slab begins, in blocks from the foot, and a slack that exceeds the rounding error of such numbers, so
-    /// that culling is never stricter than the evaluation.
+    /// Where the slab begins, in blocks from the foot, and a slack that exceeds the rounding error
+    /// of such numbers, so that culling is never stricter than the evaluation.
     start_in_blocks: [f32; LANES],
     slack_in_blocks: [f32; LANES],
-    /// For each block of samples, the lanes whose samples in it may lie within the run's bounds of influence.
+    /// For each block of samples, the lanes whose samples in it may lie within the run's bounds of
+    /// influence.
     pub(super) meets: [u64; BLOCKS],
 }
 
@@ -56,8 +60,8 @@ impl Frames {
         let (o, d) = (&packet.origin, &packet.direction);
         let center = run.center.to_array();
         let first = slab.first as f64;
-        // Separate multiplications and additions: `f64` has enough precision, and fused operations are slow on
-        // processors that have no instruction for them.
+        // Separate multiplications and additions: `f64` has enough precision, and fused operations
+        // are slow on processors that have no instruction for them.
         for lane in 0..LANES {
             let (x, y, z) = (o[0][lane] - center[0], o[1][lane] - center[1], o[2][lane] - center[2]);
             let t_foot = -(x * d[0][lane] + y * d[1][lane] + z * d[2][lane]);
@@ -83,13 +87,14 @@ impl Frames {
                 let minus_foot = lanes_of(simd, &self.minus_foot[axis], chunk);
                 let inverse = lanes_of(simd, &packet.inverse_direction[axis], chunk);
                 let reach = run.reach[axis];
-                // A ray parallel to this axis never crosses its planes: the products are huge, of opposite signs inside
-                // and of the same sign outside.
+                // A ray parallel to this axis never crosses its planes: the products are huge, of
+                // opposite signs inside and of the same sign outside.
                 let (a, b) = ((minus_foot - reach) * inverse, (minus_foot + reach) * inverse);
                 enter = enter.max(a.min(b));
                 exit = exit.min(a.max(b));
             }
-            // In blocks from the slab's beginning. Half a sample of slack on either side covers the rounding error.
+            // In blocks from the slab's beginning. Half a sample of slack on either side covers the
+            // rounding error.
             let zero = lanes_of(simd, &self.sample_zero, chunk);
             let first = lanes_of(simd, &self.first_sample, chunk);
             let start = zero.mul_add(per_block, first * (1.0 / BLOCK_SAMPLES as f32));
@@ -105,7 +110,8 @@ impl Frames {
         self.meets[blocks..].fill(0);
     }
 
-    /// Sets where the slab begins and ends on eight rays, from its beginning in blocks and a bound of such numbers.
+    /// Sets where the slab begins and ends on eight rays, from its beginning in blocks and a bound
+    /// of such numbers.
     #[inline(always)]
     fn set_range<S: Simd>(
         &mut self,
@@ -125,7 +131,8 @@ impl Frames {
     }
 }
 
-/// Eight lanes of a column. A function, because closures are not always inlined where vector code requires it.
+/// Eight lanes of a column. A function, because closures are not always inlined where vector code
+/// requires it.
 #[inline(always)]
 fn lanes_of<S: Simd>(simd: S, column: &[f32; LANES], chunk: usize) -> f32x8<S> {
     f32x8::from_slice(simd, &column[8 * chunk..8 * chunk + 8])
@@ -174,7 +181,8 @@ impl LaneRay {
         number.mul_add(f32x8::splat(simd, self.step), f32x8::splat(simd, self.sample_zero))
     }
 
-    /// Distances along the ray at which it is nearest to the points, and the vectors from the ray to the points there.
+    /// Distances along the ray at which it is nearest to the points, and the vectors from the ray
+    /// to the points there.
     #[inline(always)]
     pub(super) fn project<S: Simd>(&self, simd: S, position: [f32x8<S>; 3]) -> (f32x8<S>, [f32x8<S>; 3]) {
         let (x, y, z) = (

@@ -1,5 +1,5 @@
-//! The density field of a cloud, evaluated along rays: kernels, splatting of runs onto packets of rays, and the
-//! brute-force reference that all of it is tested against.
+//! The density field of a cloud, evaluated along rays: kernels, splatting of runs onto packets of
+//! rays, and the brute-force reference that all of it is tested against.
 
 mod bare;
 mod batch;

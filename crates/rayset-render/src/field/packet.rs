@@ -1,10 +1,11 @@
 //! Packets of rays and the samples on them.
 //!
-//! The samples of a ray lie on a lattice t = (j + offset)·δ, j = 0, 1, …. The offset is the ray's own; δ is the same
-//! for all rays of a packet. The result at a sample depends only on its ray and its sample number.
+//! The samples of a ray lie on a lattice t = (j + offset)·δ, j = 0, 1, …. The offset is the ray's
+//! own; δ is the same for all rays of a packet. The result at a sample depends only on its ray and
+//! its sample number.
 //!
-//! A packet is in world space, or in the local space of a transformed object. There the step has a different length on
-//! every ray, but a sample number denotes the same position.
+//! A packet is in world space, or in the local space of a transformed object. There the step has a
+//! different length on every ray, but a sample number denotes the same position.
 
 use rayset_base::geometry::{Aabb, Beam, DAffine3, DVec3, Ray};
 
@@ -12,13 +13,14 @@ use rayset_base::geometry::{Aabb, Beam, DAffine3, DVec3, Ray};
 pub const LANES: usize = 64;
 /// Number of samples of a ray that are processed together.
 pub const SLAB_SAMPLES: usize = 32;
-/// Number of samples of a ray to which points are added together: the most that a point covers at a step of a quarter of
-/// its radius.
+/// Number of samples of a ray to which points are added together: the most that a point covers at a
+/// step of a quarter of its radius.
 pub const BLOCK_SAMPLES: usize = 8;
 /// Blocks of samples in a slab.
 pub(super) const BLOCKS: usize = SLAB_SAMPLES / BLOCK_SAMPLES;
 
-/// Upper bound of sample numbers: beyond it, the distances of samples would not be distinct numbers.
+/// Upper bound of sample numbers: beyond it, the distances of samples would not be distinct
+/// numbers.
 const MOST_SAMPLES: f64 = (1_u64 << 52) as f64;
 
 /// Up to 64 rays, stored by columns.
@@ -46,7 +48,8 @@ pub struct Packet {
 }
 
 impl Packet {
-    /// A packet of up to 64 rays, each with its sample offset in steps, that share the step `step_world`.
+    /// A packet of up to 64 rays, each with its sample offset in steps, that share the step
+    /// `step_world`.
     ///
     /// Panics if there are no rays or more than 64.
     #[must_use]
@@ -86,8 +89,8 @@ impl Packet {
         }
     }
 
-    /// The same rays and samples in the local space of an object. The map must be invertible; `least_stretch` is the
-    /// smallest length to which it takes a vector of length one.
+    /// The same rays and samples in the local space of an object. The map must be invertible;
+    /// `least_stretch` is the smallest length to which it takes a vector of length one.
     #[must_use]
     pub fn in_local_space(&self, local_from_world: &DAffine3, least_stretch: f64) -> Self {
         let mut local = self.clone();
@@ -138,7 +141,8 @@ impl Packet {
         self.sample_offset[lane]
     }
 
-    /// A lower bound of the distance between samples in the packet's space, independent of the rays.
+    /// A lower bound of the distance between samples in the packet's space, independent of the
+    /// rays.
     #[must_use]
     pub fn least_step(&self) -> f64 {
         self.least_step
@@ -184,15 +188,16 @@ impl Packet {
         beam
     }
 
-    /// The smallest and the largest distance between samples of the rays of a mask, in the packet's space.
+    /// The smallest and the largest distance between samples of the rays of a mask, in the packet's
+    /// space.
     #[must_use]
     pub fn step_range(&self, lanes: u64) -> (f64, f64) {
         let steps = (0..LANES).filter(|lane| lanes >> lane & 1 == 1).map(|lane| self.step[lane]);
         steps.fold((f64::INFINITY, 0.0), |(least, most), step| (least.min(step), most.max(step)))
     }
 
-    /// The sample numbers that may lie in a box on any ray of a beam of this packet: an inclusive, conservative range,
-    /// or `None` if no ray meets the box.
+    /// The sample numbers that may lie in a box on any ray of a beam of this packet: an inclusive,
+    /// conservative range, or `None` if no ray meets the box.
     #[must_use]
     pub fn samples_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
         let (enter, exit) = beam.span(bounds)?;

@@ -11,7 +11,8 @@ use rayset_files::octree::layout::RUN_POINTS;
 /// One ray and the points of a run, with distances in units of each point's radius.
 #[derive(Clone, Debug)]
 pub(super) struct Pairs {
-    /// Distance along the ray from its foot to the position nearest to the point, divided by the radius.
+    /// Distance along the ray from its foot to the position nearest to the point, divided by the
+    /// radius.
     pub(super) nearest: [f32; RUN_POINTS],
     /// 1 − d⊥²/r², with d⊥ the distance of the point from the ray.
     pub(super) inside: [f32; RUN_POINTS],
@@ -19,12 +20,13 @@ pub(super) struct Pairs {
     pub(super) across: [[f32; RUN_POINTS]; 3],
     /// The first of the blocks of samples that were tested.
     first_block: usize,
-    /// For each block from there on, the points that reach it; for each chunk of points, a bit for each.
+    /// For each block from there on, the points that reach it; for each chunk of points, a bit for
+    /// each.
     hits: [[u8; CHUNKS]; BLOCKS],
 }
 
-/// Where blocks of samples begin and end, in blocks: sample j of block b is at b + j/8. Whole vectors, from which
-/// comparisons take them as they lie in memory.
+/// Where blocks of samples begin and end, in blocks: sample j of block b is at b + j/8. Whole
+/// vectors, from which comparisons take them as they lie in memory.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BlockLimits {
     begin: [[f32; CHUNK_POINTS]; BLOCKS],
@@ -96,8 +98,8 @@ impl Pairs {
         [word(low), word(high)]
     }
 
-    /// Projects the points of a chunk on the ray; returns where along it they begin and cease to contribute, neither of
-    /// them a number if they do nowhere.
+    /// Projects the points of a chunk on the ray; returns where along it they begin and cease to
+    /// contribute, neither of them a number if they do nowhere.
     #[inline(always)]
     fn reach<S: Simd, const GRADIENT: bool>(
         &mut self,

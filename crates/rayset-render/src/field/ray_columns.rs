@@ -11,7 +11,8 @@ use rayset_base::geometry::{Aabb, DVec3, Ray};
 #[derive(Clone, Debug)]
 pub struct RayColumns {
     simd: SimdLevel,
-    /// The position that origins are relative to, so that single precision suffices wherever the scene is.
+    /// The position that origins are relative to, so that single precision suffices wherever the
+    /// scene is.
     base: DVec3,
     origin: [[f32; LANES]; 3],
     inverse_direction: [[f32; LANES]; 3],
@@ -65,8 +66,8 @@ impl RayColumns {
         columns
     }
 
-    /// Tests the rays against a box and against the box enlarged by `margin_world`. Every ray that meets the box is
-    /// among those near it, even with a margin of 0.
+    /// Tests the rays against a box and against the box enlarged by `margin_world`. Every ray that
+    /// meets the box is among those near it, even with a margin of 0.
     #[must_use]
     pub fn cross(&self, bounds: &Aabb, margin_world: f64) -> Crossing {
         let (low, high) = (bounds.min - self.base, bounds.max - self.base);

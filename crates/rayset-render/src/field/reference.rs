@@ -1,4 +1,5 @@
-//! The reference field: every point against every sample, in `f64`, from the points as stored in the file.
+//! The reference field: every point against every sample, in `f64`, from the points as stored in
+//! the file.
 
 use super::kernel::Kernel;
 use super::run::{AttributeColumns, linear_from_srgb};
@@ -130,7 +131,8 @@ impl ReferenceField {
                 most = (value, &p.attributes);
             }
         }
-        // Labels are not averaged; divided by the density, as all attributes are, each is that of one point.
+        // Labels are not averaged; divided by the density, as all attributes are, each is that of
+        // one point.
         for &label in &self.labels {
             if let (Some(sum_of_labels), Some(own)) = (sum.attributes.get_mut(label), most.1.get(label)) {
                 *sum_of_labels = own * sum.density;

@@ -11,8 +11,9 @@ use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
 use rayset_files::octree::page::Run;
 
-/// Largest ratio of a run's extent to its smallest radius for single precision. Beyond it, coordinates relative to the
-/// run's centre would have errors of more than a few 1e-5 of a radius, and the run is evaluated in double precision.
+/// Largest ratio of a run's extent to its smallest radius for single precision. Beyond it,
+/// coordinates relative to the run's centre would have errors of more than a few 1e-5 of a radius,
+/// and the run is evaluated in double precision.
 const WIDEST_IN_F32: f64 = 128.0;
 /// Most samples across a run that can be counted exactly in single precision.
 const MOST_STEPS_IN_F32: f64 = (1 << 22) as f64;
@@ -37,7 +38,8 @@ pub struct DecodedRun {
     pub(super) attribute: Vec<[f32; RUN_POINTS]>,
     /// One column for each attribute of class labels.
     pub(super) label: Vec<[f32; RUN_POINTS]>,
-    /// Positions and inverse radii in double precision, for runs that are too wide for single precision.
+    /// Positions and inverse radii in double precision, for runs that are too wide for single
+    /// precision.
     pub(super) wide: Option<Box<WideRun>>,
     spare_wide: Option<Box<WideRun>>,
 }
@@ -48,14 +50,16 @@ pub(super) struct WideRun {
     pub(super) inverse_radius: [f64; RUN_POINTS],
 }
 
-/// The attributes that a cloud's field carries besides the density. Their channels are numbered in this order.
+/// The attributes that a cloud's field carries besides the density. Their channels are numbered in
+/// this order.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct AttributeColumns {
     /// The points' colour, decoded to linear light: three channels.
     pub color: bool,
     /// Numbers of attributes that are averaged, one channel each: [`Header::attribute_number`].
     pub scalars: Vec<usize>,
-    /// Numbers of attributes of class labels, of which samples have that of the point that contributes most.
+    /// Numbers of attributes of class labels, of which samples have that of the point that
+    /// contributes most.
     pub labels: Vec<usize>,
 }
 
@@ -124,7 +128,8 @@ impl RunDecoder {
             let (stored, inverse) = (&mut out.points.radius[..n], &mut out.points.inverse_radius[..n]);
             stored.iter_mut().zip(radii).for_each(|(o, r)| *o = r);
             inverse.iter_mut().zip(&*stored).for_each(|(o, r)| *o = 1.0 / r);
-            // Numbers above zero are in the order of their bits, whose least is found several at a time.
+            // Numbers above zero are in the order of their bits, whose least is found several at a
+            // time.
             let least = stored.iter().fold(u32::MAX, |least, r| least.min(r.to_bits()));
             radius_min = f64::from(f32::from_bits(least));
         }
@@ -185,7 +190,8 @@ impl RunDecoder {
     }
 }
 
-/// Decodes a stored attribute. A value that is not finite counts as 0, so that it does not spoil its neighbours.
+/// Decodes a stored attribute. A value that is not finite counts as 0, so that it does not spoil
+/// its neighbours.
 #[inline(always)]
 fn decode_attribute(run: &Run<'_>, header: &Header, index: usize, column: &mut [f32; RUN_POINTS]) {
     for (o, v) in column.iter_mut().zip(run.attribute(header, index)) {
@@ -219,7 +225,8 @@ impl Default for DecodedRun {
 }
 
 impl DecodedRun {
-    /// Fills up the last chunk with copies of its first point, which do not enlarge its bounds and reach no sample.
+    /// Fills up the last chunk with copies of its first point, which do not enlarge its bounds and
+    /// reach no sample.
     #[inline(always)]
     fn pad_last_chunk(&mut self) {
         let (n, padded) = (self.len, self.len.next_multiple_of(CHUNK_POINTS));

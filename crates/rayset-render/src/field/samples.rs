@@ -31,9 +31,11 @@ pub struct FieldSamples {
     pub gradient: [Vec<SampleRow>; 3],
     /// Σ v·ω·a for each attribute.
     pub attribute: Vec<Vec<SampleRow>>,
-    /// For each attribute of class labels, the label of the point whose v·ω is largest, the first of equals, and that v·ω.
+    /// For each attribute of class labels, the label of the point whose v·ω is largest, the first
+    /// of equals, and that v·ω.
     pub label: Vec<[Vec<SampleRow>; 2]>,
-    /// Lanes that have received contributions since [`clear`](Self::clear); the rows of all other lanes are stale.
+    /// Lanes that have received contributions since [`clear`](Self::clear); the rows of all other
+    /// lanes are stale.
     pub touched: u64,
 }
 
@@ -83,7 +85,8 @@ impl FieldSamples {
 }
 
 impl FieldSamples {
-    /// Gives a sample the labels of a point whose contribution is `weighted`, if no other contributed as much.
+    /// Gives a sample the labels of a point whose contribution is `weighted`, if no other
+    /// contributed as much.
     pub(super) fn label(&mut self, lane: usize, sample: usize, weighted: f32, of: impl Fn(usize) -> f32) {
         for (number, [rows, most]) in self.label.iter_mut().enumerate() {
             if weighted > most[lane].0[sample] {

@@ -1,8 +1,9 @@
 //! The vector instruction set in use, chosen at run time.
 //!
-//! Inner loops are compiled for what every processor has and for what makes them faster by much: on x86-64 SSE2, AVX2 and AVX-512.
-//! On processors older than AVX2, SSE4.2 would take at most 3 % off pictures of points, and 20 to 45 % off those of grids; but for every set,
-//! all loops are compiled once more.
+//! Inner loops are compiled for what every processor has and for what makes them faster by much: on
+//! x86-64 SSE2, AVX2 and AVX-512. On processors older than AVX2, SSE4.2 would take at most 3 % off
+//! pictures of points, and 20 to 45 % off those of grids; but for every set, all loops are compiled
+//! once more.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,8 +12,8 @@ use fearless_simd::Level;
 
 use rayset_base::parse::ParseError;
 
-/// A vector instruction set. The same source is compiled for each; results may differ in the last bits between those
-/// with fused multiply–add (AVX2, AVX-512, NEON) and those without.
+/// A vector instruction set. The same source is compiled for each; results may differ in the last
+/// bits between those with fused multiply–add (AVX2, AVX-512, NEON) and those without.
 #[derive(Clone, Copy, Debug)]
 pub struct SimdLevel(Level);
 
@@ -33,8 +34,8 @@ impl SimdLevel {
         }
     }
 
-    /// The instruction set that every processor of the architecture has: SSE2 on x86-64, NEON on 64-bit ARM, otherwise
-    /// scalar code.
+    /// The instruction set that every processor of the architecture has: SSE2 on x86-64, NEON on
+    /// 64-bit ARM, otherwise scalar code.
     #[must_use]
     pub fn baseline() -> Self {
         Self(Level::baseline())
@@ -68,7 +69,8 @@ impl SimdLevel {
         }
     }
 
-    /// Whether it multiplies and adds with one rounding: all sets that do give the same bits, and so do all that do not.
+    /// Whether it multiplies and adds with one rounding: all sets that do give the same bits, and
+    /// so do all that do not.
     #[doc(hidden)]
     #[must_use]
     pub fn is_fused(self) -> bool {
@@ -80,8 +82,9 @@ impl SimdLevel {
     }
 }
 
-/// Calls a function that is generic over `Simd`, compiled for an instruction set: `dispatch!(level, simd => call)`. What is called has to be
-/// inlined (`#[inline(always)]`) to be compiled for it. As the macro of `fearless_simd`, which also compiles for SSE4.2.
+/// Calls a function that is generic over `Simd`, compiled for an instruction set:
+/// `dispatch!(level, simd => call)`. What is called has to be inlined (`#[inline(always)]`) to be
+/// compiled for it. As the macro of `fearless_simd`, which also compiles for SSE4.2.
 #[cfg(all(any(target_arch = "x86", target_arch = "x86_64"), target_feature = "sse2"))]
 macro_rules! dispatch {
     (@with $token:expr, $simd:pat => $call:expr) => {{

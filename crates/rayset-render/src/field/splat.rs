@@ -1,14 +1,16 @@
 //! The inner loop: adds runs of points to the samples of a packet of rays.
 //!
-//! Along a ray, the squared distance to a point is d⊥² + (t − t_c)². A ray takes the runs of a batch together, block by
-//! block of eight samples, front to back. Where it first comes to a run, the run's points are tested against all
-//! samples of the slab (`pairs`, in the coordinates of `lane_ray`); those that reach the block are added to it (`sums`).
-//! If it is known where the ray ends, blocks behind are left out.
+//! Along a ray, the squared distance to a point is d⊥² + (t − t_c)². A ray takes the runs of a
+//! batch together, block by block of eight samples, front to back. Where it first comes to a run,
+//! the run's points are tested against all samples of the slab (`pairs`, in the coordinates of
+//! `lane_ray`); those that reach the block are added to it (`sums`). If it is known where the ray
+//! ends, blocks behind are left out.
 //!
 //! Bit-identical pictures depend on these invariants:
 //! - a contribution is a function of ray, run, point and sample number only;
 //! - a sample receives contributions in the order of the points in the file;
-//! - culling only leaves out pairs whose contribution is exactly zero, and samples behind the end of their ray.
+//! - culling only leaves out pairs whose contribution is exactly zero, and samples behind the end
+//!   of their ray.
 
 use fearless_simd::prelude::*;
 
@@ -37,8 +39,8 @@ pub struct Splatter {
 }
 
 impl Splatter {
-    /// Adds all runs of a batch to the samples of one slab, on the rays in `lanes`, and empties it. `ends` may be given
-    /// if no runs follow for this slab.
+    /// Adds all runs of a batch to the samples of one slab, on the rays in `lanes`, and empties it.
+    /// `ends` may be given if no runs follow for this slab.
     pub fn splat(
         &self,
         batch: &mut RunBatch,
@@ -160,8 +162,8 @@ struct Group {
 const LEAST_RAYS: u32 = 3;
 
 impl Group {
-    /// The chunks of points of a run, or of those of its points near the group, that are to be tested against a ray of
-    /// the group.
+    /// The chunks of points of a run, or of those of its points near the group, that are to be
+    /// tested against a ray of the group.
     #[inline(always)]
     fn look_up<S: Simd>(
         &mut self,
@@ -189,8 +191,8 @@ impl Group {
     }
 }
 
-/// Adds runs to the samples of one ray, block by block, as far as the ray goes. `reaching`: for each block and lane, a
-/// bit for each run that may reach it.
+/// Adds runs to the samples of one ray, block by block, as far as the ray goes. `reaching`: for
+/// each block and lane, a bit for each run that may reach it.
 #[inline(always)]
 fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
     simd: S,

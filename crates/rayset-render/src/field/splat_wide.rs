@@ -1,4 +1,5 @@
-//! Splats runs whose points are small compared with the extent of the run, in `f64`: slow, but rarely needed.
+//! Splats runs whose points are small compared with the extent of the run, in `f64`: slow, but
+//! rarely needed.
 
 use super::counts::SplatCounts;
 use super::kernel::Kernel;
@@ -33,8 +34,8 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
                 continue;
             }
             let half = (1.0 / inverse - distance_squared).max(0.0).sqrt();
-            // The samples in reach, with one to spare on either side. Casts to integers round toward 0, and negative
-            // numbers become 0.
+            // The samples in reach, with one to spare on either side. Casts to integers round
+            // toward 0, and negative numbers become 0.
             let number = |t: f64| t / packet.step[lane] - packet.sample_offset[lane];
             let first = ((number(nearest - half) - 1.0) as u64).max(slab.first);
             let last = ((number(nearest + half) + 2.0) as u64).min(slab.end() - 1);

@@ -95,7 +95,8 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
         let simd = self.density.simd;
         let t = ray.samples_of_block(simd, place.block);
         let zero = f32x8::splat(simd, 0.0);
-        // Component of the gradient along the ray and, with reversed sign, across it, of this run only.
+        // Component of the gradient along the ray and, with reversed sign, across it, of this run
+        // only.
         let (mut along_ray, mut across) = (zero, [zero; 3]);
         for (half, mut hits) in hits.into_iter().enumerate() {
             while hits != 0 {
@@ -126,7 +127,8 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
         }
     }
 
-    /// Adds the value of one point to density and colour; returns it, weighted if attributes follow.
+    /// Adds the value of one point to density and colour; returns it, weighted if attributes
+    /// follow.
     #[inline(always)]
     fn add_value(&mut self, value: f32x8<S>, points: &PointColumns, run: &DecodedRun, i: usize) -> f32x8<S> {
         let weight = points.weight[i];

@@ -13,7 +13,8 @@ pub enum ToneMapping {
     Filmic,
 }
 
-/// Exposure and tone mapping for pictures that are meant for display. OpenEXR files hold linear light, without it.
+/// Exposure and tone mapping for pictures that are meant for display. OpenEXR files hold linear
+/// light, without it.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct DisplayTransform {
     /// Exposure in stops: light is multiplied by two to this power.
@@ -23,21 +24,22 @@ pub struct DisplayTransform {
 }
 
 impl DisplayTransform {
-    /// Converts a display-encoded sRGB colour, as used by screens and painting programs, to linear light; 0 to 1.
+    /// Converts a display-encoded sRGB colour, as used by screens and painting programs, to linear
+    /// light; 0 to 1.
     #[must_use]
     pub fn linear_from_srgb(color: [f64; 3]) -> [f32; 3] {
         color.map(|v| linear_from_srgb(v) as f32)
     }
 
-    /// What encodes pixels as PNG files have them: of linear light, premultiplied with the opacity, makes 8-bit sRGB with straight
-    /// alpha.
+    /// What encodes pixels as PNG files have them: of linear light, premultiplied with the opacity,
+    /// makes 8-bit sRGB with straight alpha.
     pub fn rgba8(&self) -> impl Fn([f32; 4]) -> [u8; 4] + Send + Sync + use<> {
         let encoder = Rgba8::new(*self);
         move |pixel| encoder.encode(pixel)
     }
 
-    /// Applies exposure and tone mapping to a component of straight (not premultiplied) colour; the result is still
-    /// linear.
+    /// Applies exposure and tone mapping to a component of straight (not premultiplied) colour; the
+    /// result is still linear.
     #[must_use]
     pub fn apply(&self, light: f32) -> f32 {
         let x = light * self.exposure.exp2() as f32;
@@ -51,7 +53,8 @@ impl DisplayTransform {
     }
 }
 
-/// Entries of the table from linear light to bytes. Near black, one entry is a fifth of a byte step.
+/// Entries of the table from linear light to bytes. Near black, one entry is a fifth of a byte
+/// step.
 const TABLE: usize = 1 << 14;
 
 /// Encodes pixels for screens.

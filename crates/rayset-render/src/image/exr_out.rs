@@ -1,8 +1,8 @@
 //! OpenEXR with layers, written band by band, so that the whole picture is never held in memory.
 //!
-//! A file has one part of 32-bit channels in scan lines, compressed by ZIP in blocks of 16 rows. Layers are
-//! distinguished by the names of their channels, as is customary ("Technical Introduction to OpenEXR", section on
-//! layers).
+//! A file has one part of 32-bit channels in scan lines, compressed by ZIP in blocks of 16 rows.
+//! Layers are distinguished by the names of their channels, as is customary ("Technical
+//! Introduction to OpenEXR", section on layers).
 
 use std::io::{self, Seek, Write};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -76,15 +76,16 @@ pub struct ExrBands {
     height: usize,
     /// Row of the whole picture at which this one begins.
     top: usize,
-    /// Rows that do not fill a block yet, as the encoder expects them; `first_row` is the number of the first of them.
+    /// Rows that do not fill a block yet, as the encoder expects them; `first_row` is the number of
+    /// the first of them.
     data: Vec<u8>,
     rows: usize,
     first_row: usize,
 }
 
 impl ExrBands {
-    /// Writes the header of a picture of `width` × `height` pixels, whose upper left pixel is (`left`, `top`) in a
-    /// picture of size `whole`.
+    /// Writes the header of a picture of `width` × `height` pixels, whose upper left pixel is
+    /// (`left`, `top`) in a picture of size `whole`.
     ///
     /// # Errors
     /// [`ExrError`] if the writer thread cannot be started.
@@ -129,7 +130,8 @@ impl ExrBands {
     /// Appends a band.
     ///
     /// # Errors
-    /// [`ExrError`] if the file cannot be written, or if the band has no layers or is not the next from the top.
+    /// [`ExrError`] if the file cannot be written, or if the band has no layers or is not the next
+    /// from the top.
     pub fn write(&mut self, band: &Band) -> Result<(), ExrError> {
         let is_next = band.first_row as usize == self.top + self.first_row + self.rows;
         if band.width as usize != self.width || band.layers.len() != band.pixels.len() || !is_next {
@@ -176,7 +178,8 @@ impl ExrBands {
         };
         self.first_row += rows;
         let sent = self.blocks.as_ref().map(|blocks| blocks.send(UncompressedBlock { index, data }));
-        // If the block was not accepted, the writer thread has ended with an error, which `end` returns.
+        // If the block was not accepted, the writer thread has ended with an error, which `end`
+        // returns.
         if sent.is_some_and(|sent| sent.is_ok()) { Ok(()) } else { self.end() }
     }
 

@@ -14,7 +14,8 @@ pub use png_out::{PngBands, PngError};
 /// Rows of a picture: premultiplied colour and opacity, in linear light.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Band {
-    /// Number of the first row, counted from the top of the whole picture (also if only a region of it is rendered).
+    /// Number of the first row, counted from the top of the whole picture (also if only a region of
+    /// it is rendered).
     pub first_row: u32,
     /// Width in pixels.
     pub width: u32,
@@ -24,26 +25,29 @@ pub struct Band {
     pub layers: Vec<LayerPixel>,
 }
 
-/// Layers of a pixel besides its colour. They describe what its rays meet before they are reflected or refracted.
+/// Layers of a pixel besides its colour. They describe what its rays meet before they are reflected
+/// or refracted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct LayerPixel {
     /// Fraction of the background that is hidden, 0 to 1.
     pub opacity: f32,
-    /// Mean distance from the eye, with samples weighted by their contribution to the pixel; infinite if there are
-    /// none.
+    /// Mean distance from the eye, with samples weighted by their contribution to the pixel;
+    /// infinite if there are none.
     pub depth: f32,
     /// Mean shading vector, world space, of length one or zero.
     pub normal: [f32; 3],
     /// Mean colour without lighting, linear light.
     pub albedo: [f32; 3],
-    /// The leaf whose sample contributes most, counted from 1 in the order of the graph; 0 if there is none.
+    /// The leaf whose sample contributes most, counted from 1 in the order of the graph; 0 if there
+    /// is none.
     pub instance: u32,
     /// Number of samples that are not transparent.
     pub samples: u32,
-    /// Bytes of the pages requested for the pixel's tile, divided by the number of pixels of the tile; those for tables of shadows
-    /// are not counted. This describes how the work was done, and is the only value of a picture that may depend on it: on how the
-    /// picture is divided into tiles.
+    /// Bytes of the pages requested for the pixel's tile, divided by the number of pixels of the
+    /// tile; those for tables of shadows are not counted. This describes how the work was done, and
+    /// is the only value of a picture that may depend on it: on how the picture is divided into
+    /// tiles.
     pub bytes: f32,
 }
 

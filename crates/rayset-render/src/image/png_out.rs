@@ -64,8 +64,9 @@ impl<W: Write + 'static> PngBands<W> {
         self.write_with(band, |_, _| {})
     }
 
-    /// Appends a band whose rows `retouch` may change once they are encoded: it is given the number of each row, counted
-    /// from the top of the whole picture, and its pixels, 8-bit RGBA with straight alpha.
+    /// Appends a band whose rows `retouch` may change once they are encoded: it is given the number
+    /// of each row, counted from the top of the whole picture, and its pixels, 8-bit RGBA with
+    /// straight alpha.
     ///
     /// # Errors
     /// [`PngError`] if the pixels cannot be written.

@@ -31,13 +31,15 @@ pub struct Camera {
     pub projection: Projection,
 }
 
-/// Largest coordinate of a camera's position. A camera that frames a scene may be farther away than anything in the
-/// scene, so this is larger than the limit for the scene.
+/// Largest coordinate of a camera's position. A camera that frames a scene may be farther away than
+/// anything in the scene, so this is larger than the limit for the scene.
 const FARTHEST_EYE: f64 = 1e30;
 
-/// The unit vector in the direction of `v`, whatever the length of `v`; `None` if `v` is zero or not finite.
+/// The unit vector in the direction of `v`, whatever the length of `v`; `None` if `v` is zero or
+/// not finite.
 fn unit(v: DVec3) -> Option<DVec3> {
-    // Divided by its largest component, the vector has a length that can be squared without overflow or underflow.
+    // Divided by its largest component, the vector has a length that can be squared without
+    // overflow or underflow.
     let largest = v.abs().max_element();
     v.try_normalize().or_else(|| (v / largest).try_normalize().filter(|_| v.is_finite()))
 }
@@ -87,13 +89,14 @@ pub(crate) struct RayMaker {
     right: DVec3,
     up: DVec3,
     size: [f64; 2],
-    /// Half the height of the image plane: at distance 1 for a perspective camera, in world units for an orthographic
-    /// one.
+    /// Half the height of the image plane: at distance 1 for a perspective camera, in world units
+    /// for an orthographic one.
     half_height: f64,
 }
 
 impl Camera {
-    /// A perspective camera at `position` that looks at `target`, with the vertical field of view `fovy` in radians.
+    /// A perspective camera at `position` that looks at `target`, with the vertical field of view
+    /// `fovy` in radians.
     #[must_use]
     pub fn look_at(position: DVec3, target: DVec3, up: DVec3, fovy: f64) -> Self {
         Self { position, direction: target - position, up, projection: Projection::Perspective { fovy } }
@@ -186,8 +189,8 @@ impl RayMaker {
         }
     }
 
-    /// Projects a position to the picture, in pixels from its upper left corner; `None` if it is not in front of the
-    /// eye.
+    /// Projects a position to the picture, in pixels from its upper left corner; `None` if it is
+    /// not in front of the eye.
     pub(crate) fn project(&self, p: DVec3) -> Option<(f64, f64)> {
         let [width, height] = self.size;
         let offset = p - self.camera.position;
@@ -209,7 +212,8 @@ impl RayMaker {
     pub(crate) fn footprint(&self, ray: &Ray) -> Footprint {
         let pixel = (2.0 * self.half_height / self.size[1]) as f32;
         match self.camera.projection {
-            // On a plane in front of the eye all pixels are alike; the plane is nearer than the distance says.
+            // On a plane in front of the eye all pixels are alike; the plane is nearer than the
+            // distance says.
             Projection::Perspective { .. } => {
                 Footprint { width: 0.0, spread: pixel * ray.direction.dot(self.forward) as f32 }
             }

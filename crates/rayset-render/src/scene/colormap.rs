@@ -1,10 +1,12 @@
 //! Named colour maps.
 //!
-//! Tables: viridis, inferno, magma and plasma by Smith, van der Walt and Firing (released into the public domain under
-//! CC0), turbo by Mikhailov (Google, 2019), coolwarm after Moreland, *Diverging Color Maps for Scientific
-//! Visualization* (2009), cividis by Nuñez, Anderton and Renslow (2018), thermal to balance by Thyng and others (cmocean,
-//! 2016), `RdBu` by Brewer (ColorBrewer 2), terrain as matplotlib defines it. Each is sampled at evenly spaced places and
-//! interpolated linearly in between: to within 1/255 of the published tables of 256, viridis to coolwarm to within 5/255.
+//! Tables: viridis, inferno, magma and plasma by Smith, van der Walt and Firing (released into the
+//! public domain under CC0), turbo by Mikhailov (Google, 2019), coolwarm after Moreland, *Diverging
+//! Color Maps for Scientific Visualization* (2009), cividis by Nuñez, Anderton and Renslow (2018),
+//! thermal to balance by Thyng and others (cmocean, 2016), `RdBu` by Brewer (ColorBrewer 2),
+//! terrain as matplotlib defines it. Each is sampled at evenly spaced places and interpolated
+//! linearly in between: to within 1/255 of the published tables of 256, viridis to coolwarm to
+//! within 5/255.
 
 use std::fmt;
 use std::str::FromStr;

@@ -1,8 +1,9 @@
-//! The volume scene graph: a term of constructive volume geometry (Chen & Tucker 2000), as a rooted DAG.
+//! The volume scene graph: a term of constructive volume geometry (Chen & Tucker 2000), as a rooted
+//! DAG.
 //!
-//! A node is an elemental volume object or an operator over other nodes. Children are held by reference, so a subtree
-//! may be used in several places, and cycles cannot occur. Each node may transform its content, apply transfer
-//! functions to it, and assign a material.
+//! A node is an elemental volume object or an operator over other nodes. Children are held by
+//! reference, so a subtree may be used in several places, and cycles cannot occur. Each node may
+//! transform its content, apply transfer functions to it, and assign a material.
 //!
 //! | operator | opacity | attributes | shading vector |
 //! | --- | --- | --- | --- |
@@ -11,8 +12,9 @@
 //! | difference | max(0, O₁ − O₂ − …) | of the first child | the nearest subtrahend's, reversed, if its boundary is nearer and within the unit distance; otherwise the first child's |
 //! | blend | min(1, ΣO) | weighted by O | weighted by O |
 //!
-//! Opacities are limited to [`MAX_OPACITY`](super::MAX_OPACITY) at the leaves, so that opaque objects tie. The
-//! attributes of an intersection or blend of many children differ from those of nested pairs.
+//! Opacities are limited to [`MAX_OPACITY`](super::MAX_OPACITY) at the leaves, so that opaque
+//! objects tie. The attributes of an intersection or blend of many children differ from those of
+//! nested pairs.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
@@ -30,15 +32,16 @@ use rayset_files::octree::Cloud;
 pub struct Node {
     /// The object or operator.
     pub shape: Shape,
-    /// Transform from the node's local space to the space of its parent (world space for the root). It does not change
-    /// opacities.
+    /// Transform from the node's local space to the space of its parent (world space for the root).
+    /// It does not change opacities.
     pub parent_from_local: DAffine3,
     /// Transfer functions, applied one after another. An opacity of 0 stays 0.
     pub transfers: Vec<Transfer>,
     /// Material of everything below that has no material of its own.
     pub material: Option<Material>,
-    /// Of a difference: the colour of a cap, linear light. What the first child encloses is then filled before the others
-    /// are taken away from it, so that a cut through a hollow scan shows a solid.
+    /// Of a difference: the colour of a cap, linear light. What the first child encloses is then
+    /// filled before the others are taken away from it, so that a cut through a hollow scan shows a
+    /// solid.
     pub cap: Option<[f64; 3]>,
 }
 
@@ -90,15 +93,16 @@ pub struct CloudObject {
     pub cloud: Arc<Cloud>,
     /// The radial basis function.
     pub kernel: Kernel,
-    /// Whether kernels are normalised to integrate to one, so that weight = mass (or mass·value/density) as in SPH.
+    /// Whether kernels are normalised to integrate to one, so that weight = mass (or
+    /// mass·value/density) as in SPH.
     pub normalised: bool,
     /// Opacity and colour from density and attributes.
     pub transfer: TransferFunction,
 }
 
 impl CloudObject {
-    /// A cloud with the paper's defaults: Wyvill's kernel, O = min(1, D), and the colours of the points, or white if
-    /// the cloud has no colours.
+    /// A cloud with the paper's defaults: Wyvill's kernel, O = min(1, D), and the colours of the
+    /// points, or white if the cloud has no colours.
     #[must_use]
     pub fn plain(cloud: Arc<Cloud>) -> Self {
         let color = if cloud.header().has_color { ColorRule::Points } else { ColorRule::Uniform([1.0; 3]) };
@@ -106,8 +110,9 @@ impl CloudObject {
         Self { cloud, kernel: Kernel::default(), normalised: false, transfer }
     }
 
-    /// Density at the centre of a single point that has the largest weight and, if kernels are normalised, the largest
-    /// radius of the cloud. Attributes are defined where the density is above 1e-12 of it.
+    /// Density at the centre of a single point that has the largest weight and, if kernels are
+    /// normalised, the largest radius of the cloud. Attributes are defined where the density is
+    /// above 1e-12 of it.
     #[must_use]
     pub fn largest_point_density(&self) -> f64 {
         let header = self.cloud.header();
@@ -119,7 +124,8 @@ impl CloudObject {
         }
     }
 
-    /// A box in local space outside which the cloud is transparent; empty if the cloud has no points.
+    /// A box in local space outside which the cloud is transparent; empty if the cloud has no
+    /// points.
     #[must_use]
     pub fn bounds(&self) -> Aabb {
         let header = self.cloud.header();
@@ -150,9 +156,10 @@ pub struct GridObject {
     pub grid: Arc<Grid>,
     /// Opacity and colour from values.
     pub transfer: TransferFunction,
-    /// Whether values are labels, which are never mixed. A sample then has the value of the most trilinear weight among the
-    /// eight voxels around it (the larger of two that have as much), in place of their mean. The object's surface is where
-    /// half of the weight is that of voxels at least as opaque as the sample, or that show at all if the sample does not.
+    /// Whether values are labels, which are never mixed. A sample then has the value of the most
+    /// trilinear weight among the eight voxels around it (the larger of two that have as much), in
+    /// place of their mean. The object's surface is where half of the weight is that of voxels at
+    /// least as opaque as the sample, or that show at all if the sample does not.
     pub labels: bool,
 }
 
@@ -175,8 +182,8 @@ impl GridObject {
         self.transfer.opacity.boundary_density(unit_distance)
     }
 
-    /// The sign that turns the gradient of the values into the direction of the shading vector: −1 if the object lies
-    /// toward larger values, 1 if toward smaller ones.
+    /// The sign that turns the gradient of the values into the direction of the shading vector: −1
+    /// if the object lies toward larger values, 1 if toward smaller ones.
     #[must_use]
     pub fn outward(&self) -> f64 {
         match &self.transfer.opacity {
@@ -204,9 +211,9 @@ pub enum Channel {
     Green,
     /// See [`Channel::Red`].
     Blue,
-    /// An attribute of the objects below, by name: a column of a cloud, [`GRID_ATTRIBUTE`], or one of
-    /// [`Procedural::attributes`]. Operators combine attributes as they combine colours; in objects that lack it, its
-    /// value is 0.
+    /// An attribute of the objects below, by name: a column of a cloud, [`GRID_ATTRIBUTE`], or one
+    /// of [`Procedural::attributes`]. Operators combine attributes as they combine colours; in
+    /// objects that lack it, its value is 0.
     Attribute(Arc<str>),
 }
 
@@ -281,7 +288,8 @@ impl Node {
     /// Checks the node and everything below.
     ///
     /// # Errors
-    /// [`SceneError`] if the graph, one of its transforms, transfer functions, materials or objects is invalid.
+    /// [`SceneError`] if the graph, one of its transforms, transfer functions, materials or objects
+    /// is invalid.
     pub fn check(&self) -> Result<(), SceneError> {
         // Sharing allows graphs whose expansion is too large to walk.
         let places = self.places(&mut HashMap::new());
@@ -293,7 +301,8 @@ impl Node {
         if count > MOST_ATTRIBUTES { Err(SceneError::TooManyAttributes { count }) } else { Ok(()) }
     }
 
-    /// The attributes of the objects below, each with the range of its values; of clouds also their coordinates.
+    /// The attributes of the objects below, each with the range of its values; of clouds also their
+    /// coordinates.
     #[must_use]
     pub fn attributes(&self) -> BTreeMap<String, (f64, f64)> {
         let mut known: BTreeMap<String, (f64, f64)> = BTreeMap::new();
@@ -400,8 +409,8 @@ impl Node {
         }
     }
 
-    /// Bounding box of all solids, noise and grids, intersected with the bounds of the node; empty if there are none.
-    /// In the space of the node's parent.
+    /// Bounding box of all solids, noise and grids, intersected with the bounds of the node; empty
+    /// if there are none. In the space of the node's parent.
     #[must_use]
     pub fn bounds_of_solids(&self) -> Aabb {
         fn visit(node: &Node, world_from_parent: &DAffine3, within: Aabb) -> Aabb {
@@ -421,7 +430,8 @@ impl Node {
         visit(self, &DAffine3::IDENTITY, self.bounds())
     }
 
-    /// A box outside which the node is transparent, in the space of its parent; infinite if the node is unbounded.
+    /// A box outside which the node is transparent, in the space of its parent; infinite if the
+    /// node is unbounded.
     #[must_use]
     pub fn bounds(&self) -> Aabb {
         let local = match &self.shape {
@@ -471,8 +481,8 @@ impl Transfer {
     }
 }
 
-/// Checks that a transform is invertible and that it and its inverse keep lengths and positions within the allowed
-/// range.
+/// Checks that a transform is invertible and that it and its inverse keep lengths and positions
+/// within the allowed range.
 pub(crate) fn check_transform(transform: &DAffine3) -> Result<(), SceneError> {
     if *transform == DAffine3::IDENTITY {
         return Ok(());

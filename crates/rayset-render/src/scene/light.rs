@@ -20,7 +20,8 @@ impl Default for Lighting {
 }
 
 impl Lighting {
-    /// A white light at the eye, which casts no visible shadows, and white ambient light of the same strength.
+    /// A white light at the eye, which casts no visible shadows, and white ambient light of the
+    /// same strength.
     #[must_use]
     pub fn headlight() -> Self {
         let light = |kind| Light { kind, color: [1.0; 3], shadow: false };
@@ -46,8 +47,8 @@ impl Lighting {
 pub struct Light {
     /// The kind of light, with its position or direction.
     pub kind: LightKind,
-    /// Colour times intensity, in linear light: radiance of ambient light, irradiance of a headlight or directional
-    /// light, radiant intensity of a point light.
+    /// Colour times intensity, in linear light: radiance of ambient light, irradiance of a
+    /// headlight or directional light, radiant intensity of a point light.
     pub color: [f32; 3],
     /// Whether objects cast shadows in this light. Ignored for ambient light and headlights.
     pub shadow: bool,
@@ -63,7 +64,8 @@ pub enum LightKind {
     Headlight,
     /// Parallel rays.
     Directional {
-        /// Direction in which the light travels, world space; its length may be anything from 1e-18 to 1e18.
+        /// Direction in which the light travels, world space; its length may be anything from 1e-18
+        /// to 1e18.
         direction: DVec3,
     },
     /// Light from a point.

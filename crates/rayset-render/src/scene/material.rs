@@ -2,9 +2,10 @@
 
 use super::SceneError;
 
-/// How a volume object responds to light. Local shading is Blinn's (1977): with N the shading vector, L the direction
-/// to the light, and H halfway between L and the direction to the eye, a light adds
-/// `color·diffuse·|N·L| + specular·|N·H|^shininess`. Both sides of a surface are lit alike.
+/// How a volume object responds to light. Local shading is Blinn's (1977): with N the shading
+/// vector, L the direction to the light, and H halfway between L and the direction to the eye, a
+/// light adds `color·diffuse·|N·L| + specular·|N·H|^shininess`. Both sides of a surface are lit
+/// alike.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Factor for ambient light, times the object's colour.
@@ -17,7 +18,8 @@ pub struct Material {
     pub shininess: f64,
     /// Fraction of light that comes from the mirror direction, 0 to 1.
     pub reflectance: f64,
-    /// Refractive index. If it differs from 1, rays are refracted by Snell's law where they enter and leave the object.
+    /// Refractive index. If it differs from 1, rays are refracted by Snell's law where they enter
+    /// and leave the object.
     pub refractive_index: f64,
 }
 

@@ -1,5 +1,5 @@
-//! Scene description: the volume scene graph, lights, the camera, and the settings that determine the pixels of the
-//! picture.
+//! Scene description: the volume scene graph, lights, the camera, and the settings that determine
+//! the pixels of the picture.
 //!
 //! Nothing here says how the work is done: threads, memory and input are handled by `trace`.
 
@@ -49,12 +49,14 @@ pub const SHORTEST: f64 = 1e-18;
 pub const MOST_STOPS: usize = 4096;
 /// Largest value of any channel of a colour or light.
 pub const BRIGHTEST: f64 = 1e12;
-/// Features of solids, noise and grids smaller than this fraction of the diagonal of their common bounds do not reduce
-/// the step further: thin features may be missed, but rendering time stays bounded.
+/// Features of solids, noise and grids smaller than this fraction of the diagonal of their common
+/// bounds do not reduce the step further: thin features may be missed, but rendering time stays
+/// bounded.
 pub const FINEST_DETAIL: f64 = 1.0 / (1 << 14) as f64;
 /// Most samples of a ray along that diagonal, however fine a cloud within it is.
 pub const MOST_STEPS_IN_SOLIDS: f64 = (1_u64 << 20) as f64;
-/// Most samples along the diagonal of a scene, few enough to be counted exactly. Empty space is skipped.
+/// Most samples along the diagonal of a scene, few enough to be counted exactly. Empty space is
+/// skipped.
 pub const MOST_STEPS: f64 = (1_u64 << 40) as f64;
 
 /// A volume scene graph, and how it is lit.
@@ -71,8 +73,8 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// A scene of a single cloud in its original position, lit by a headlight. The unit distance is the mean radius of
-    /// its points.
+    /// A scene of a single cloud in its original position, lit by a headlight. The unit distance is
+    /// the mean radius of its points.
     #[must_use]
     pub fn of_cloud(object: CloudObject) -> Self {
         let unit_distance = object.cloud.header().radius_mean;
@@ -87,8 +89,8 @@ impl Scene {
     /// Checks everything that can be checked before rays are traced.
     ///
     /// # Errors
-    /// [`SceneError`] if the graph, the lights, the background, the unit distance or the extent of the scene is
-    /// invalid.
+    /// [`SceneError`] if the graph, the lights, the background, the unit distance or the extent of
+    /// the scene is invalid.
     pub fn check(&self) -> Result<(), SceneError> {
         if !(SHORTEST..=FARTHEST).contains(&self.unit_distance) {
             return Err(SceneError::UnitDistance);
@@ -108,7 +110,8 @@ impl Scene {
         if !bounds.size().is_finite() {
             return Err(SceneError::Unbounded);
         }
-        // The limit is somewhat larger than that of coordinates: an object at the farthest position may have an extent.
+        // The limit is somewhat larger than that of coordinates: an object at the farthest position
+        // may have an extent.
         let farthest = bounds.min.abs().max(bounds.max.abs()).max_element();
         if farthest > 10.0 * FARTHEST {
             let what = "the farthest coordinate of the scene";
@@ -122,12 +125,13 @@ impl Scene {
         Ok(())
     }
 
-    /// Checks a distance between samples: along a ray there must be few enough samples to be counted exactly, and in
-    /// solids, noise and grids, where every sample is evaluated, few enough to be evaluated in reasonable time.
+    /// Checks a distance between samples: along a ray there must be few enough samples to be
+    /// counted exactly, and in solids, noise and grids, where every sample is evaluated, few enough
+    /// to be evaluated in reasonable time.
     ///
     /// # Errors
-    /// [`SceneError::Step`], with the smallest step allowed, if the step is too small; [`SceneError::Number`] if it is
-    /// out of range.
+    /// [`SceneError::Step`], with the smallest step allowed, if the step is too small;
+    /// [`SceneError::Number`] if it is out of range.
     pub fn check_step(&self, step: Step) -> Result<(), SceneError> {
         let step = match step {
             Step::Automatic { fraction } if (1e-3..=4.0).contains(&fraction) => return Ok(()),
@@ -152,8 +156,8 @@ impl Scene {
 pub enum Step {
     /// The same on all rays, world space.
     Fixed(f64),
-    /// For each ray the largest `fraction · r_max · 2^k` with integer k that is at most `fraction` of the smallest
-    /// radius whose bounds the ray meets.
+    /// For each ray the largest `fraction · r_max · 2^k` with integer k that is at most `fraction`
+    /// of the smallest radius whose bounds the ray meets.
     Automatic {
         /// Step as a fraction of that radius.
         fraction: f64,
@@ -185,7 +189,8 @@ pub enum Sampling {
     /// Through the centres of the cells of a regular lattice.
     #[default]
     Fixed,
-    /// Through one position in each cell of the lattice, a hash of pixel and cell: turns aliasing at edges into noise.
+    /// Through one position in each cell of the lattice, a hash of pixel and cell: turns aliasing
+    /// at edges into noise.
     Stratified,
 }
 
@@ -214,7 +219,8 @@ pub struct RenderSettings {
     pub step: Step,
     /// Offset of the first sample of a ray.
     pub sample_offset: SampleOffset,
-    /// A ray ends at the first sample behind which its transmittance is below this. 0: rays never end early.
+    /// A ray ends at the first sample behind which its transmittance is below this. 0: rays never
+    /// end early.
     pub stop_transmittance: f32,
     /// A pixel has this number squared of rays.
     pub samples: u32,
@@ -226,11 +232,13 @@ pub struct RenderSettings {
     pub max_depth: u32,
     /// Whether depth, shading vectors and other layers are computed besides colours.
     pub layers: bool,
-    /// How much darker surfaces become in creases and close behind edges, 0 (not at all, the default) to 4. Of whole
-    /// pictures and regions alone: tiles that are handed out one by one are as they were traced.
+    /// How much darker surfaces become in creases and close behind edges, 0 (not at all, the
+    /// default) to 4. Of whole pictures and regions alone: tiles that are handed out one by one are
+    /// as they were traced.
     pub ambient_occlusion: f32,
-    /// Cells along the longest side of the lattice on which it is decided what a cap fills, 8 to 1024. Less than two
-    /// bytes of memory are set aside for each, of at most this number cubed for every cap.
+    /// Cells along the longest side of the lattice on which it is decided what a cap fills, 8
+    /// to 1024. Less than two bytes of memory are set aside for each, of at most this number cubed
+    /// for every cap.
     pub cap_resolution: u32,
 }
 
@@ -278,8 +286,8 @@ impl RenderSettings {
         Self { width, height, ..self }
     }
 
-    /// The sample offset, in steps, of the ray through a pixel. If a pixel has several rays, `x` and `y` are the column
-    /// and row of the ray's cell in the whole picture.
+    /// The sample offset, in steps, of the ray through a pixel. If a pixel has several rays, `x`
+    /// and `y` are the column and row of the ray's cell in the whole picture.
     #[must_use]
     pub fn sample_offset_of(&self, x: u32, y: u32) -> f64 {
         match self.sample_offset {
@@ -288,8 +296,8 @@ impl RenderSettings {
         }
     }
 
-    /// Where the ray of cell (`i`, `j`) of pixel (`x`, `y`) passes through the picture, in pixels from its upper left
-    /// corner.
+    /// Where the ray of cell (`i`, `j`) of pixel (`x`, `y`) passes through the picture, in pixels
+    /// from its upper left corner.
     #[must_use]
     pub fn ray_place(&self, x: u32, y: u32, i: u32, j: u32) -> (f64, f64) {
         let cells = f64::from(self.samples);
@@ -304,7 +312,8 @@ impl RenderSettings {
     }
 }
 
-/// A pseudo-random number from 0 to below 1: two multiplicative rounds with the constants of splitmix64's finaliser.
+/// A pseudo-random number from 0 to below 1: two multiplicative rounds with the constants of
+/// splitmix64's finaliser.
 fn hash(x: u32, y: u32, stream: u64) -> f64 {
     let mut z = (u64::from(y) << 32 | u64::from(x)).wrapping_add(stream.wrapping_mul(0xd1b5_4a32_d192_ed03));
     z = (z ^ z >> 30).wrapping_add(0x9e37_79b9_7f4a_7c15).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -3,9 +3,10 @@
 use super::{Pattern, Procedural, ProceduralSample};
 use rayset_base::geometry::{Aabb, DVec3};
 
-/// An ellipsoid filled with fractal noise: octaves of Perlin's gradient noise (2002 form, quintic fade), each with
-/// twice the frequency and `roughness` times the strength of the one before. The opacity is above 0 where the sum
-/// exceeds a threshold, which rises toward the boundary of the ellipsoid.
+/// An ellipsoid filled with fractal noise: octaves of Perlin's gradient noise (2002 form, quintic
+/// fade), each with twice the frequency and `roughness` times the strength of the one before. The
+/// opacity is above 0 where the sum exceeds a threshold, which rises toward the boundary of the
+/// ellipsoid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoiseCloud {
     /// Semi-axes of the ellipsoid, which is centred at the origin.
@@ -79,8 +80,8 @@ impl Procedural for NoiseCloud {
             };
         }
         let (noise, slope) = self.fractal(p);
-        // With a cover of 1 practically all noise exceeds the threshold at the centre; at the boundary of the ellipsoid
-        // almost none does.
+        // With a cover of 1 practically all noise exceeds the threshold at the centre; at the
+        // boundary of the ellipsoid almost none does.
         let threshold = RANGE * (1.0 - 2.0 * self.cover * (1.0 - outward * outward));
         let threshold_slope = q / self.radii * (RANGE * 8.0 * self.cover * outward);
         let implicit = threshold - noise;
@@ -112,7 +113,8 @@ fn perlin(p: DVec3, seed: u32) -> (f64, DVec3) {
     (value, slope)
 }
 
-/// One of the twelve directions from the centre of a cube to the middles of its edges, by a hash of the lattice point.
+/// One of the twelve directions from the centre of a cube to the middles of its edges, by a hash of
+/// the lattice point.
 fn corner_gradient(lattice: DVec3, seed: u32) -> DVec3 {
     const A: f64 = 1.0;
     const DIRECTIONS: [[f64; 3]; 12] = [

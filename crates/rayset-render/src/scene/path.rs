@@ -6,9 +6,9 @@ use rayset_base::geometry::DVec3;
 /// Widest field of view that interpolation may produce, in radians.
 const WIDEST: f64 = 179.0 / 180.0 * std::f64::consts::PI;
 
-/// Cameras at certain frames of a sequence. Between them, position, target, up vector and field of view (or height)
-/// follow cubic Hermite curves whose slope at a frame is that between its neighbours (Catmull and Rom 1974, for uneven
-/// spacing).
+/// Cameras at certain frames of a sequence. Between them, position, target, up vector and field of
+/// view (or height) follow cubic Hermite curves whose slope at a frame is that between its
+/// neighbours (Catmull and Rom 1974, for uneven spacing).
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraPath {
     keys: Vec<(u32, Camera)>,
@@ -30,7 +30,8 @@ pub enum PathError {
 }
 
 impl CameraPath {
-    /// A path through cameras with their frames, which must be in ascending order and of the same projection.
+    /// A path through cameras with their frames, which must be in ascending order and of the same
+    /// projection.
     ///
     /// # Errors
     /// [`PathError`] if they are not, or if there are none.

@@ -24,12 +24,14 @@ pub trait Procedural: Any + fmt::Debug + Send + Sync {
     /// A box outside which the opacity is 0, local space; infinite if the object is unbounded.
     fn bounds(&self) -> Aabb;
 
-    /// The length scale on which the field varies, local space: automatic steps are at most a fraction of it.
+    /// The length scale on which the field varies, local space: automatic steps are at most a
+    /// fraction of it.
     fn detail(&self) -> f64;
 
-    /// An interval of distances along a ray, from 0 on, local space, outside which the opacity is 0: in units of the length of the
-    /// ray's direction. `None` if the ray meets nothing. The tighter it is, the fewer samples are taken; a step's worth of
-    /// rounding errors does no harm. By default, where the ray is within the bounds.
+    /// An interval of distances along a ray, from 0 on, local space, outside which the opacity is
+    /// 0: in units of the length of the ray's direction. `None` if the ray meets nothing. The
+    /// tighter it is, the fewer samples are taken; a step's worth of rounding errors does no harm.
+    /// By default, where the ray is within the bounds.
     fn span(&self, ray: &Ray) -> Option<(f64, f64)> {
         self.bounds().clip(ray)
     }
@@ -47,8 +49,8 @@ pub trait Procedural: Any + fmt::Debug + Send + Sync {
         &[]
     }
 
-    /// The attribute with an index in [`attributes`](Self::attributes) at a position, in single precision like those of
-    /// points. Must be a function of the position alone.
+    /// The attribute with an index in [`attributes`](Self::attributes) at a position, in single
+    /// precision like those of points. Must be a function of the position alone.
     fn attribute(&self, _index: usize, _p: DVec3) -> f32 {
         0.0
     }
@@ -106,7 +108,8 @@ impl Pattern {
         }
     }
 
-    /// The pattern's value: 0 or 1 in the cubes of a checker, the position along a gradient (0 at `from`, 1 at `to`).
+    /// The pattern's value: 0 or 1 in the cubes of a checker, the position along a gradient (0 at
+    /// `from`, 1 at `to`).
     #[must_use]
     pub fn value(&self, p: DVec3) -> f64 {
         match self {

@@ -53,8 +53,8 @@ pub enum Form {
 }
 
 impl Form {
-    /// Signed distance to the boundary, negative inside, and its gradient. For an ellipsoid, a first-order
-    /// approximation.
+    /// Signed distance to the boundary, negative inside, and its gradient. For an ellipsoid, a
+    /// first-order approximation.
     #[must_use]
     pub fn distance(&self, p: DVec3) -> (f64, DVec3) {
         match *self {
@@ -143,7 +143,8 @@ fn near_origin(origin: DVec3, direction: DVec3, distance: f64) -> Option<(f64, f
     if squared == 0.0 {
         return Some((f64::NEG_INFINITY, f64::INFINITY));
     }
-    // From the point of the line that is nearest: the difference of squares of large numbers would lose all digits.
+    // From the point of the line that is nearest: the difference of squares of large numbers would
+    // lose all digits.
     let middle = -origin.dot(direction) / squared;
     let away = (origin + direction * middle).length_squared();
     let distance = distance * (1.0 + 1e-9) + origin.length() * 1e-12;
@@ -171,7 +172,8 @@ fn beyond_plane(ray: &Ray, normal: DVec3, offset: f64) -> Option<(f64, f64)> {
     Some(if slope > 0.0 { (f64::NEG_INFINITY, at) } else { (at, f64::INFINITY) })
 }
 
-/// Signed distance to a rectangle with half sizes `a` and `b` centred at the origin, and its gradient.
+/// Signed distance to a rectangle with half sizes `a` and `b` centred at the origin, and its
+/// gradient.
 fn rectangle_distance(x: f64, y: f64, a: f64, b: f64) -> (f64, [f64; 2]) {
     let (qx, qy) = (x.abs() - a, y.abs() - b);
     let (sx, sy) = (1_f64.copysign(x), 1_f64.copysign(y));
@@ -230,7 +232,8 @@ pub struct Solid {
     pub form: Form,
     /// Opacity inside, 0 to 1.
     pub opacity: f64,
-    /// Width of the region over which the opacity falls to 0, half of it inside the boundary; 0 for a hard edge.
+    /// Width of the region over which the opacity falls to 0, half of it inside the boundary; 0 for
+    /// a hard edge.
     pub edge: f64,
     /// The colour.
     pub pattern: Pattern,
@@ -363,7 +366,8 @@ mod tests {
                 let inside = span.is_some_and(|(enter, exit)| (enter - slack..=exit + slack).contains(&t));
                 let place = ray.at(t);
                 let opacity = solid.sample(place).opacity;
-                // Outside its bounds nothing is ever sampled: the distance of a soft ellipsoid is not exact there.
+                // Outside its bounds nothing is ever sampled: the distance of a soft ellipsoid is
+                // not exact there.
                 let bounded = solid.bounds().contains(place);
                 prop_assert!(inside || opacity <= 1e-3 || !bounded, "{opacity} at {t}, {span:?}");
             }

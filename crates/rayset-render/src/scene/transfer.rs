@@ -1,7 +1,8 @@
 //! Transfer functions: map density to opacity, and density or an attribute to colour.
 //!
-//! Opacity refers to `unit_distance`, one length for the whole scene: a step δ through opacity O absorbs 1 − exp(−σδ)
-//! with σ = −ln(1 − min(O, 1 − 1/4096)) / unit_distance. A density that is not positive is transparent.
+//! Opacity refers to `unit_distance`, one length for the whole scene: a step δ through opacity O
+//! absorbs 1 − exp(−σδ) with σ = −ln(1 − min(O, 1 − 1/4096)) / unit_distance. A density that is not
+//! positive is transparent.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -21,8 +22,9 @@ pub enum OpacityRule {
     Clamp,
     /// Physical absorption with σ = κ·D: O = 1 − exp(−σ·unit_distance).
     Extinction(f64),
-    /// Piecewise linear through (density, opacity) pairs in ascending order; constant beyond the ends. If several pairs
-    /// share one density, the last applies at and above it, the first just below.
+    /// Piecewise linear through (density, opacity) pairs in ascending order; constant beyond the
+    /// ends. If several pairs share one density, the last applies at and above it, the first just
+    /// below.
     Curve(Vec<(f64, f64)>),
 }
 
@@ -32,9 +34,10 @@ pub enum OpacityRule {
 pub enum MapInput {
     /// The density.
     Density,
-    /// A stored attribute, by its index in the header; the numbers behind those of all attributes stand for the
-    /// coordinates x, y and z ([`Header::attribute_number`](rayset_files::octree::format::Header::attribute_number)). Class labels are not
-    /// averaged: a sample has that of the point that contributes most.
+    /// A stored attribute, by its index in the header; the numbers behind those of all attributes
+    /// stand for the coordinates x, y and z
+    /// ([`Header::attribute_number`](rayset_files::octree::format::Header::attribute_number)).
+    /// Class labels are not averaged: a sample has that of the point that contributes most.
     Attribute(usize),
 }
 
@@ -44,8 +47,9 @@ pub enum MapInput {
 pub enum Palette {
     /// A named colour map.
     Named(Colormap),
-    /// (place, display-encoded colour) pairs in ascending order of places from 0 to 1, interpolated linearly. If
-    /// several stops share one place, an edge, the last applies at and above it, the first just below.
+    /// (place, display-encoded colour) pairs in ascending order of places from 0 to 1, interpolated
+    /// linearly. If several stops share one place, an edge, the last applies at and above it, the
+    /// first just below.
     Stops(Arc<[(f64, [f64; 3])]>),
 }
 
@@ -203,7 +207,8 @@ impl OpacityRule {
         opacity.min(MAX_OPACITY)
     }
 
-    /// Opacity at a value of a grid: as at a density, except that curves also apply to values that are not positive.
+    /// Opacity at a value of a grid: as at a density, except that curves also apply to values that
+    /// are not positive.
     #[must_use]
     pub fn opacity_of_value(&self, value: f64, unit_distance: f64) -> f64 {
         match self {
@@ -235,7 +240,8 @@ impl OpacityRule {
         -(1.0 - self.opacity(density, unit_distance)).ln() / unit_distance
     }
 
-    /// The density that defines the boundary of an object: where the opacity first reaches half its maximum.
+    /// The density that defines the boundary of an object: where the opacity first reaches half its
+    /// maximum.
     #[must_use]
     pub fn boundary_density(&self, unit_distance: f64) -> f64 {
         match self {
@@ -254,8 +260,8 @@ impl OpacityRule {
     }
 }
 
-/// The value of a curve: piecewise linear, constant beyond the ends. If several points share one place, the last
-/// applies at it.
+/// The value of a curve: piecewise linear, constant beyond the ends. If several points share one
+/// place, the last applies at it.
 #[must_use]
 pub fn curve_at(points: &[(f64, f64)], x: f64) -> f64 {
     let above = points.partition_point(|&(d, _)| d <= x);

@@ -43,7 +43,8 @@ impl DataFiles {
         }
     }
 
-    /// Uses clouds and grids that are open, where this graph refers to them by their names as they are.
+    /// Uses clouds and grids that are open, where this graph refers to them by their names as they
+    /// are.
     pub(super) fn know(&mut self, clouds: &[Arc<Cloud>], grids: &[Arc<Grid>]) {
         self.clouds.extend(clouds.iter().map(|cloud| (cloud.address().to_owned(), cloud.stored().clone())));
         self.grids.extend(grids.iter().map(|grid| (grid.address().to_owned(), grid.clone())));
@@ -115,7 +116,8 @@ fn key_of(path: &Path) -> std::io::Result<PathBuf> {
     if address_of(path).is_some() { Ok(path.to_owned()) } else { path.canonicalize() }
 }
 
-/// The key under which a data file is shared: its canonical path, or its address. An error if it is not a readable regular file.
+/// The key under which a data file is shared: its canonical path, or its address. An error if it is
+/// not a readable regular file.
 fn data_file(at: &Cursor<'_>, path: &Path) -> Result<PathBuf, SceneFileError> {
     let known = match address_of(path) {
         Some(_) => Ok(path.to_owned()),
@@ -124,8 +126,8 @@ fn data_file(at: &Cursor<'_>, path: &Path) -> Result<PathBuf, SceneFileError> {
     known.map_err(|e| at.error(format!("cannot open {}: {e}", shown(path))))
 }
 
-/// The error for a data file that cannot be opened, with advice: the file may hold other data than its `type` says, or
-/// be raw data that has to be built first.
+/// The error for a data file that cannot be opened, with advice: the file may hold other data than
+/// its `type` says, or be raw data that has to be built first.
 fn unopened(at: &Cursor<'_>, path: &Path, wanted: [u8; 8], what: String) -> SceneFileError {
     let mut head = [0_u8; 8];
     let is_read = InputFile::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();

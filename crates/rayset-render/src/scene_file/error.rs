@@ -15,7 +15,8 @@ pub struct SceneFileError {
     pub line: usize,
     /// Column, counted from 1 in characters.
     pub column: usize,
-    /// Path of the value in the document, for example `root.children[1].radius`; empty for the document as a whole.
+    /// Path of the value in the document, for example `root.children[1].radius`; empty for the
+    /// document as a whole.
     pub key: String,
     /// What is wrong, what was expected and what to do.
     pub what: String,

@@ -23,8 +23,8 @@ const MOST_TRANSFERS: usize = 16;
 /// Keys that every node may have.
 const COMMON: [&str; 6] = ["type", "id", "comment", "transform", "transfers", "material"];
 
-/// Deepest nesting of nodes, with references followed: deeper than anyone would write, but shallow enough for the stack
-/// of any thread.
+/// Deepest nesting of nodes, with references followed: deeper than anyone would write, but shallow
+/// enough for the stack of any thread.
 const DEEPEST: usize = 100;
 /// Most children of an operator: no graph may have more places of nodes.
 const MOST_CHILDREN: usize = MOST_PLACES as usize;
@@ -179,7 +179,8 @@ impl<'a> GraphReader<'a> {
         Ok(node)
     }
 
-    /// A reference to a named node, optionally with a transform, transfer functions and a material of its own.
+    /// A reference to a named node, optionally with a transform, transfer functions and a material
+    /// of its own.
     fn reference(&mut self, at: &Cursor<'a>, reference: &Cursor<'a>) -> Result<Arc<Node>, SceneFileError> {
         let object = at.object(&["ref", "comment", "transform", "transfers", "material"])?;
         let shared = self.named_node(reference.text()?, reference)?;
@@ -303,7 +304,8 @@ fn read_value_transfer(at: &Cursor<'_>, made: &mut GridObject) -> Result<(), Sce
     Ok(())
 }
 
-/// A node of a shape, with the optional keys that all nodes have: transform, transfer functions and material.
+/// A node of a shape, with the optional keys that all nodes have: transform, transfer functions and
+/// material.
 fn decorated(shape: Shape, object: &Object<'_>) -> Result<Node, SceneFileError> {
     let mut node = Node::new(shape);
     if let Some(at) = object.get("transform") {

@@ -1,5 +1,5 @@
-//! A JSON document in little memory: strings borrow from the text if possible, lists and objects have no spare
-//! capacity, and the number of values is limited.
+//! A JSON document in little memory: strings borrow from the text if possible, lists and objects
+//! have no spare capacity, and the number of values is limited.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -82,7 +82,8 @@ impl<'t> Json<'t> {
         matches!(self, Self::Object(_))
     }
 
-    /// Memory of the value and everything inside it in bytes, including the overhead of allocations.
+    /// Memory of the value and everything inside it in bytes, including the overhead of
+    /// allocations.
     pub(super) fn bytes(&self) -> u64 {
         /// Overhead of an allocation in bytes.
         const BLOCK: u64 = 16;
@@ -100,8 +101,9 @@ impl<'t> Json<'t> {
             }
     }
 
-    /// Upper bound of the cursors that exist at a time while the document is read: the members of all lists and objects
-    /// on the way from the root to a value, for the value for which they are most.
+    /// Upper bound of the cursors that exist at a time while the document is read: the members of
+    /// all lists and objects on the way from the root to a value, for the value for which they are
+    /// most.
     pub(super) fn widest_way(&self) -> u64 {
         let below = |count: usize, inner: u64| count as u64 + inner;
         match self {

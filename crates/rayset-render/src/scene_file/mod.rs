@@ -1,8 +1,8 @@
-//! Scene files: a strict, versioned JSON format. `docs/scene.md` describes it for people, `docs/scene.schema.json` for
-//! editors.
+//! Scene files: a strict, versioned JSON format. `docs/scene.md` describes it for people,
+//! `docs/scene.schema.json` for editors.
 //!
-//! A scene file contains what determines pixels and nothing else: camera, image, lights, render settings and the graph.
-//! Memory and threads are up to the program that renders it.
+//! A scene file contains what determines pixels and nothing else: camera, image, lights, render
+//! settings and the graph. Memory and threads are up to the program that renders it.
 
 mod data_files;
 mod error;
@@ -53,26 +53,26 @@ pub struct SceneFile {
     pub display_transform: DisplayTransform,
     /// Files that the scene refers to: clouds, grids and colour-map presets.
     pub files: Vec<PathBuf>,
-    /// An upper bound of the memory that reading took, in bytes, for the memory plan of the whole process; most of it
-    /// has been freed since.
+    /// An upper bound of the memory that reading took, in bytes, for the memory plan of the whole
+    /// process; most of it has been freed since.
     pub loading_bytes: u64,
 }
 
 impl SceneFile {
-    /// Reads a scene and opens the data files it refers to; relative paths are relative to the folder of the scene
-    /// file.
+    /// Reads a scene and opens the data files it refers to; relative paths are relative to the
+    /// folder of the scene file.
     ///
     /// # Errors
-    /// [`LoadError`] if the file cannot be read or is invalid; in the latter case it gives line, column, key and what
-    /// was expected.
+    /// [`LoadError`] if the file cannot be read or is invalid; in the latter case it gives line,
+    /// column, key and what was expected.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, LoadError> {
         let path = path.as_ref();
         let text = read_text(path).map_err(|source| LoadError::Io { path: path.to_owned(), source })?;
         Ok(Self::parse(path, &text)?)
     }
 
-    /// Reads a scene from a string. `path` is the file named in errors, and data files are opened relative to its
-    /// folder.
+    /// Reads a scene from a string. `path` is the file named in errors, and data files are opened
+    /// relative to its folder.
     ///
     /// # Errors
     /// [`SceneFileError`] if the text is invalid, with line, column, key and what was expected.
@@ -80,8 +80,8 @@ impl SceneFile {
         Self::parse_with(path, text, DataFiles::default())
     }
 
-    /// Reads a changed scene from a string, as [`parse`](Self::parse). Data files that are open in this scene are not opened again:
-    /// a session that renders both keeps their pages.
+    /// Reads a changed scene from a string, as [`parse`](Self::parse). Data files that are open in
+    /// this scene are not opened again: a session that renders both keeps their pages.
     ///
     /// # Errors
     /// As [`parse`](Self::parse).
@@ -91,8 +91,9 @@ impl SceneFile {
         Self::parse_with(path, text, open)
     }
 
-    /// Reads a scene from a string, as [`parse`](Self::parse), that refers to clouds and grids which are open already, perhaps in
-    /// memory, by the very names of their [`path`](Cloud::path)s.
+    /// Reads a scene from a string, as [`parse`](Self::parse), that refers to clouds and grids
+    /// which are open already, perhaps in memory, by the very names of their
+    /// [`path`](Cloud::path)s.
     ///
     /// # Errors
     /// As [`parse`](Self::parse).
@@ -128,8 +129,8 @@ impl SceneFile {
         let root_at = file.require("root")?;
         let mut graph = GraphReader::new(&file, open)?;
         let root = graph.node(&root_at)?;
-        // Checked before anything else walks the graph: with sharing, a graph of few nodes can have more places than
-        // there is time to visit.
+        // Checked before anything else walks the graph: with sharing, a graph of few nodes can have
+        // more places than there is time to visit.
         root.check().map_err(|e| root_at.error(e.to_string()))?;
         let (settings, display_transform) = view::settings(&file)?;
         let bounds = root.bounds();

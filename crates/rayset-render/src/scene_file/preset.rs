@@ -1,6 +1,7 @@
-//! ParaView's colour-map presets: a JSON list of maps with `Name`, `RGBPoints` (value, red, green, blue, …) and
-//! `Points` (value, opacity, midpoint, sharpness, …), as exported by its colour map editor. Colours are interpolated
-//! linearly in RGB, whatever `ColorSpace` says; midpoints and sharpness are ignored.
+//! ParaView's colour-map presets: a JSON list of maps with `Name`, `RGBPoints` (value, red, green,
+//! blue, …) and `Points` (value, opacity, midpoint, sharpness, …), as exported by its colour map
+//! editor. Colours are interpolated linearly in RGB, whatever `ColorSpace` says; midpoints and
+//! sharpness are ignored.
 
 use super::error::SceneFileError;
 use super::json::Json;
@@ -16,7 +17,8 @@ pub(super) struct Preset {
 }
 
 impl Preset {
-    /// Loads the map that `{"file": …, "name": …}` refers to; without a name, the first map of the file.
+    /// Loads the map that `{"file": …, "name": …}` refers to; without a name, the first map of the
+    /// file.
     pub(super) fn load(at: &Cursor<'_>) -> Result<Self, SceneFileError> {
         let object = at.object(&["file", "name"])?;
         let file_at = object.require("file")?;
@@ -48,8 +50,8 @@ fn name_of<'m>(map: &'m Json<'_>) -> Option<&'m str> {
     map.get("Name")?.as_str()
 }
 
-/// The numbers of a list in groups of `N` whose first numbers never descend; `None` if the list is empty, too long or
-/// has any other form.
+/// The numbers of a list in groups of `N` whose first numbers never descend; `None` if the list is
+/// empty, too long or has any other form.
 fn groups<const N: usize>(list: &Json<'_>) -> Option<Vec<[f64; N]>> {
     let numbers = list.as_list().filter(|items| items.len() <= N * MOST_STOPS)?;
     let in_range = |v: &f64| v.abs() <= FARTHEST;

@@ -1,5 +1,5 @@
-//! Strict reading of JSON documents: every value is requested with a type, every key has to be known, and every error
-//! says where it occurred and what was expected.
+//! Strict reading of JSON documents: every value is requested with a type, every key has to be
+//! known, and every error says where it occurred and what was expected.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -67,7 +67,8 @@ pub(super) struct Cursor<'a> {
     way: Option<Rc<Way<'a>>>,
 }
 
-/// The path from the root of a document to a value in it. Values inside one list or object share all but the last step.
+/// The path from the root of a document to a value in it. Values inside one list or object share
+/// all but the last step.
 struct Way<'a> {
     before: Option<Rc<Self>>,
     step: Step<'a>,
@@ -296,7 +297,8 @@ impl<'a> Object<'a> {
 
 /// The known word that is closest to `word`, if any is close enough.
 pub(super) fn nearest<'w>(word: &str, known: &[&'w str]) -> Option<&'w str> {
-    /// Longer words are hardly typing errors, and comparing words takes time quadratic in their length.
+    /// Longer words are hardly typing errors, and comparing words takes time quadratic in their
+    /// length.
     const LONGEST: usize = 64;
     if word.len() > LONGEST {
         return None;
@@ -323,7 +325,8 @@ pub(super) fn listed(words: &[&str]) -> String {
     format!("{}{more}", some.join(", "))
 }
 
-/// Levenshtein distance (1966): the number of letters to insert, delete or replace to turn one word into the other.
+/// Levenshtein distance (1966): the number of letters to insert, delete or replace to turn one word
+/// into the other.
 fn edits(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

@@ -77,15 +77,16 @@ fn step(rendering: &Object<'_>) -> Result<Step, SceneFileError> {
     }
 }
 
-/// The place to which errors about the step refer: the key `step`, otherwise `rendering`, otherwise the whole file.
+/// The place to which errors about the step refer: the key `step`, otherwise `rendering`, otherwise
+/// the whole file.
 pub(super) fn step_at<'a>(file: &Object<'a>) -> Cursor<'a> {
     let rendering = file.get("rendering").unwrap_or_else(|| file.cursor.clone());
     let step = rendering.any_object().ok().and_then(|rendering| rendering.get("step"));
     step.unwrap_or(rendering)
 }
 
-/// The length that opacities refer to: the file's value, otherwise a hundredth of the diagonal of the scene, or 1 if
-/// the diagonal is not finite and positive.
+/// The length that opacities refer to: the file's value, otherwise a hundredth of the diagonal of
+/// the scene, or 1 if the diagonal is not finite and positive.
 pub(super) fn unit_distance(file: &Object<'_>, bounds: &Aabb) -> Result<f64, SceneFileError> {
     let rendering = file.get("rendering").map(|at| at.any_object()).transpose()?;
     if let Some(at) = rendering.and_then(|rendering| rendering.get("unitDistance")) {

@@ -1,5 +1,5 @@
-//! How one attempt at a tile obtains its pages: it either waits for absent pages, or is deferred until they are
-//! resident.
+//! How one attempt at a tile obtains its pages: it either waits for absent pages, or is deferred
+//! until they are resident.
 
 use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
@@ -17,7 +17,8 @@ pub(super) struct Lacking {
 
 /// Why an attempt ended early.
 pub(super) enum Halt {
-    /// A page is absent. It has been hinted if there was room; the tile is to be traced again from its beginning.
+    /// A page is absent. It has been hinted if there was room; the tile is to be traced again from
+    /// its beginning.
     Deferred(Lacking),
     Failed(RenderError),
 }
@@ -31,7 +32,8 @@ impl<E: Into<RenderError>> From<E> for Halt {
 /// What an attempt has found out about pages that rays are expected to need.
 #[derive(Default)]
 pub(super) struct Foreseen {
-    /// A page that the attempt is known to lack: it goes on only to find out what else it lacks, and is then deferred.
+    /// A page that the attempt is known to lack: it goes on only to find out what else it lacks,
+    /// and is then deferred.
     lacking: RefCell<Option<Lacking>>,
     /// The tile that is being traced.
     tile: Cell<usize>,
@@ -58,7 +60,8 @@ impl Foreseen {
         self.asked.borrow_mut().clear();
     }
 
-    /// A tile is finished: what its rays have not needed must not count as what is still to be used.
+    /// A tile is finished: what its rays have not needed must not count as what is still to be
+    /// used.
     pub(super) fn finished(&self, tile: usize, pages: &PageClient) {
         for Lacking { object, page } in self.asked.borrow_mut().remove(&tile).unwrap_or_default() {
             pages.retire_unused(&object, &[page]);
@@ -72,12 +75,14 @@ pub(super) struct Access<'a> {
     pub(super) pages: &'a PageClient,
     /// Whether the attempt waits for absent pages.
     pub(super) waits: bool,
-    /// If it does not wait: for how many slabs ahead pages are requested together with an absent one.
+    /// If it does not wait: for how many slabs ahead pages are requested together with an absent
+    /// one.
     pub(super) slabs_on_a_miss: u64,
     /// Whether it requests the pages that come next along the line of a packet.
     pub(super) follows_lines: bool,
-    /// How far it looks along rays that it is about to trace, to ask for all pages that they are expected to need: a factor on the
-    /// optical depth with which they are expected to have ended. `None` if it does not ask.
+    /// How far it looks along rays that it is about to trace, to ask for all pages that they are
+    /// expected to need: a factor on the optical depth with which they are expected to have ended.
+    /// `None` if it does not ask.
     pub(super) foresees: Option<f32>,
     /// What it has found out by that.
     pub(super) foreseen: &'a Foreseen,
@@ -126,8 +131,8 @@ impl Access<'_> {
         }
     }
 
-    /// Retains one of the pages that a slab goes through in turn; `sample` is the slab's first, `again` whether the slabs
-    /// after it need the page, too.
+    /// Retains one of the pages that a slab goes through in turn; `sample` is the slab's first,
+    /// `again` whether the slabs after it need the page, too.
     pub(super) fn retain_in_turn(
         &self,
         object: &Arc<Object>,

@@ -1,13 +1,15 @@
-//! Ambient occlusion from the depths of a picture: creases, and surfaces close behind an edge, become darker. It gives
-//! form to what has one colour, at a small fraction of the cost of shadows.
+//! Ambient occlusion from the depths of a picture: creases, and surfaces close behind an edge,
+//! become darker. It gives form to what has one colour, at a small fraction of the cost of shadows.
 //!
-//! From each pixel four lines are followed in the picture, both ways. On either side the horizon is the steepest rise
-//! toward the eye (as in Bavoil & Sainz, *Multi-layer dual-resolution screen-space ambient occlusion*, 2009). The sines
-//! of both horizons are added before anything is said about the line: a plane, however it is tilted, rises on one side as
-//! it falls on the other, and remains bright.
+//! From each pixel four lines are followed in the picture, both ways. On either side the horizon is
+//! the steepest rise toward the eye (as in Bavoil & Sainz, *Multi-layer dual-resolution
+//! screen-space ambient occlusion*, 2009). The sines of both horizons are added before anything is
+//! said about the line: a plane, however it is tilted, rises on one side as it falls on the other,
+//! and remains bright.
 //!
-//! A pixel depends on depths up to [`AmbientOcclusion::apron`] pixels away. They are rendered too where they lie outside
-//! the region that is asked for, so pixels do not depend on regions or bands.
+//! A pixel depends on depths up to [`AmbientOcclusion::apron`] pixels away. They are rendered too
+//! where they lie outside the region that is asked for, so pixels do not depend on regions or
+//! bands.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -17,7 +19,8 @@ use super::work::Region;
 use crate::image::{Band, LayerPixel};
 use crate::scene::RayMaker;
 
-/// Distances at which horizons are looked for, as fractions of the picture's height; at least one pixel.
+/// Distances at which horizons are looked for, as fractions of the picture's height; at least one
+/// pixel.
 const RINGS: [f32; 3] = [1.0 / 400.0, 1.0 / 130.0, 1.0 / 50.0];
 /// Directions of the lines, in pixels.
 const LINES: [(i64, i64); 4] = [(1, 0), (0, 1), (1, 1), (1, -1)];
@@ -26,7 +29,8 @@ const GRAIN: f32 = 0.08;
 /// How much light a strength of 1 takes: what is left is `exp(-TAKEN × occlusion)`.
 const TAKEN: f32 = 2.5;
 
-/// Most rows that are taken in, and sent, at a time: at the end of a picture all that are kept are ready.
+/// Most rows that are taken in, and sent, at a time: at the end of a picture all that are kept are
+/// ready.
 pub(super) const ROWS_SENT: u32 = 16;
 
 /// Darkens the bands of a picture on their way to a sink.
@@ -50,7 +54,8 @@ pub(super) struct AmbientOcclusion<'s, S: BandSink + ?Sized> {
     sink: &'s mut S,
 }
 
-/// Consecutive rows, in two blocks of memory. Tall pictures keep many rows of few pixels, so rows have none of their own.
+/// Consecutive rows, in two blocks of memory. Tall pictures keep many rows of few pixels, so rows
+/// have none of their own.
 struct Rows {
     width: usize,
     pixels: VecDeque<[f32; 4]>,
@@ -79,7 +84,8 @@ impl Rows {
     }
 }
 
-/// The distance between the centres of two pixels in the world: a length, and a part of the distance from the eye.
+/// The distance between the centres of two pixels in the world: a length, and a part of the
+/// distance from the eye.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Footprint {
     pub(super) length: f32,
@@ -227,8 +233,8 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
         if !depth.is_finite() {
             return pixel;
         }
-        // Depths are of samples, and differ by up to a step even on a plane. Were it not for this, hard surfaces would have
-        // grain.
+        // Depths are of samples, and differ by up to a step even on a plane. Were it not for this,
+        // hard surfaces would have grain.
         let nearest = depth - self.step;
         let left = (-TAKEN * self.strength * self.occlusion(i64::from(x), i64::from(y), nearest)).exp();
         let [red, green, blue] = self.background;
@@ -257,8 +263,8 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
         lines.iter().sum::<f32>() * 0.25
     }
 
-    /// Sine of the elevation of the horizon in one direction, above the plane of the picture through the pixel; -1 if
-    /// nothing is there, `None` if all of it is outside the picture.
+    /// Sine of the elevation of the horizon in one direction, above the plane of the picture
+    /// through the pixel; -1 if nothing is there, `None` if all of it is outside the picture.
     fn horizon(&self, x: i64, y: i64, (i, j): (i64, i64), depth: f32, pixel: f32) -> Option<f32> {
         let length = ((i * i + j * j) as f32).sqrt();
         let farthest = self.rings[2] as f32 * pixel;

@@ -19,11 +19,12 @@ impl View {
         Ok(picture)
     }
 
-    /// Renders a region of the picture in bands of at most `band_rows` rows, holding one band in memory at a time. Each
-    /// pixel is the same, bit for bit, as in the whole picture.
+    /// Renders a region of the picture in bands of at most `band_rows` rows, holding one band in
+    /// memory at a time. Each pixel is the same, bit for bit, as in the whole picture.
     ///
     /// # Errors
-    /// As [`View::render`], and [`RenderError::Setting`] if the region is empty or not within the picture.
+    /// As [`View::render`], and [`RenderError::Setting`] if the region is empty or not within the
+    /// picture.
     pub fn render_bands(
         &self,
         region: &Region,
@@ -98,8 +99,8 @@ impl View {
         Ok(counts)
     }
 
-    /// The first tiles of the band after one, if its files are far away: their pages are asked for before this one is finished, so that it
-    /// does not begin with waiting.
+    /// The first tiles of the band after one, if its files are far away: their pages are asked for
+    /// before this one is finished, so that it does not begin with waiting.
     fn after(&self, band: &Region, band_rows: u32, region: &Region) -> Vec<Tile> {
         /// More pages than fit are not asked for.
         const MOST: usize = 512;
@@ -114,8 +115,9 @@ impl View {
         tiles
     }
 
-    /// Where a band of at most `band_rows` rows ends that begins with a row: between two rows of tiles if it can, so that tiles are the same
-    /// for all budgets, and with them the layer of the bytes that each requested.
+    /// Where a band of at most `band_rows` rows ends that begins with a row: between two rows of
+    /// tiles if it can, so that tiles are the same for all budgets, and with them the layer of the
+    /// bytes that each requested.
     fn end_of_band(&self, row: u32, band_rows: u32, last: u32) -> u32 {
         let end = row + band_rows.clamp(1, last - row);
         let between = end / self.prepared.engine.exec.tile_pixels * self.prepared.engine.exec.tile_pixels;

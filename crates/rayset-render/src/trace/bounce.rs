@@ -1,9 +1,10 @@
-//! Rays that change direction: mirrored where a material reflects, refracted (bent) where the refractive index changes.
+//! Rays that change direction: mirrored where a material reflects, refracted (bent) where the
+//! refractive index changes.
 //!
-//! Each pixel has a tree of rays. A ray that reaches another refractive index ends there; a ray in the refracted
-//! direction takes its place, and one in the mirrored direction sees what the boundary reflects. Elsewhere samples
-//! reflect, and consecutive reflecting samples of a ray do so together: as one ray from their mean position, with the
-//! sum of their weights.
+//! Each pixel has a tree of rays. A ray that reaches another refractive index ends there; a ray in
+//! the refracted direction takes its place, and one in the mirrored direction sees what the
+//! boundary reflects. Elsewhere samples reflect, and consecutive reflecting samples of a ray do so
+//! together: as one ray from their mean position, with the sum of their weights.
 
 use super::composite::RayState;
 use super::inside::{Inside, Samples};
@@ -14,13 +15,15 @@ use crate::field::{LANES, Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Footprint;
 use rayset_base::geometry::{DVec3, Ray};
 
-/// Samples whose reflection contributes less than this fraction of their pixel's light show their own colour instead.
+/// Samples whose reflection contributes less than this fraction of their pixel's light show their
+/// own colour instead.
 const LEAST_WEIGHT: f64 = 1.0 / 256.0;
 /// A refracted ray of less weight than this is not traced.
 const LEAST_PASSED: f64 = 1.0 / 4096.0;
 
-/// The maximum number of rays in one generation of a pixel's tree. Mirrored rays have a weight of at least
-/// [`LEAST_WEIGHT`] each and of at most 1 in total; each ray has at most one refracted successor.
+/// The maximum number of rays in one generation of a pixel's tree. Mirrored rays have a weight of
+/// at least [`LEAST_WEIGHT`] each and of at most 1 in total; each ray has at most one refracted
+/// successor.
 pub(super) fn most_rays_of_a_pixel(max_depth: u32) -> usize {
     (1.0 / LEAST_WEIGHT) as usize * (max_depth as usize + 1)
 }
@@ -66,8 +69,8 @@ pub(super) struct TreeRay {
     pub(super) footprint: Footprint,
     /// The fraction of its light that reaches the pixel.
     pub(super) weight: f64,
-    /// Whether what it meets counts towards the opacity of the pixel: it has at most been refracted, never mirrored by
-    /// a material.
+    /// Whether what it meets counts towards the opacity of the pixel: it has at most been
+    /// refracted, never mirrored by a material.
     pub(super) covers: bool,
     depth: u32,
     /// Refractive index at its origin.
@@ -160,8 +163,8 @@ impl RefractionStates {
         self.next.clear();
     }
 
-    /// Finds the rays of `going` that reach another refractive index in a slab, and makes their samples transparent
-    /// from there on; [`follow`](Self::follow) ends them there.
+    /// Finds the rays of `going` that reach another refractive index in a slab, and makes their
+    /// samples transparent from there on; [`follow`](Self::follow) ends them there.
     pub(super) fn bend(
         &mut self,
         packet: &Packet,
@@ -180,7 +183,8 @@ impl RefractionStates {
             let inside = if touched { samples.inside() } else { 0 };
             let mut left = u32::MAX >> (SLAB_SAMPLES - slab.samples);
             loop {
-                // Samples that are not at the ray's refractive index. At all others that stays as it is.
+                // Samples that are not at the ray's refractive index. At all others that stays as
+                // it is.
                 let outside = if state.index == 1.0 { 0 } else { !inside };
                 let changes = (inside & samples.of_other_index(inside, state.index) | outside) & left;
                 let passed = inside & left & changes.wrapping_sub(1) & !changes;
@@ -205,8 +209,8 @@ impl RefractionStates {
         });
     }
 
-    /// Takes the rays of `going` that are inside an object out of it, because the samples that follow are empty.
-    /// Returns the lanes of the rays that end.
+    /// Takes the rays of `going` that are inside an object out of it, because the samples that
+    /// follow are empty. Returns the lanes of the rays that end.
     pub(super) fn leave(&mut self, packet: &Packet, going: u64, states: &[RayState; LANES]) -> u64 {
         each_lane(self.may_bend(going), |lane| {
             self.states_of_rays[lane].comes_to(None, 1.0, packet.step_world());
@@ -214,8 +218,8 @@ impl RefractionStates {
         self.follow(going, states)
     }
 
-    /// Ends the rays of `going` that are refracted; successors with the light still transmitted take their place.
-    /// Returns the lanes of the rays that end.
+    /// Ends the rays of `going` that are refracted; successors with the light still transmitted
+    /// take their place. Returns the lanes of the rays that end.
     pub(super) fn follow(&mut self, going: u64, states: &[RayState; LANES]) -> u64 {
         let mut ended = 0;
         each_lane(self.may_bend(going), |lane| {
@@ -246,16 +250,17 @@ impl RefractionStates {
         if self.bounces.turns.refracts { going & self.deepens } else { 0 }
     }
 
-    /// The fraction of a sample's light that comes from the mirrored direction, given the values of its material.
-    /// Refracting materials reflect at their boundary only.
+    /// The fraction of a sample's light that comes from the mirrored direction, given the values of
+    /// its material. Refracting materials reflect at their boundary only.
     #[inline(always)]
     pub(super) fn reflectance(&self, lane: usize, material: impl Fn(usize) -> f32) -> f32 {
         let reflects = self.bounces.turns.reflects && self.deepens >> lane & 1 == 1;
         if reflects && material(REFRACTIVE_INDEX) == 1.0 { material(REFLECTANCE) } else { 0.0 }
     }
 
-    /// Adds a sample that reflects `weight` of its ray's light and has the given colour of its own. Returns the light
-    /// of the preceding samples that reflect together, if they end here and reflect too little to be traced.
+    /// Adds a sample that reflects `weight` of its ray's light and has the given colour of its own.
+    /// Returns the light of the preceding samples that reflect together, if they end here and
+    /// reflect too little to be traced.
     #[expect(clippy::too_many_arguments, reason = "one sample of one packet, and what it reflects")]
     pub(super) fn reflect(
         &mut self,
@@ -298,8 +303,8 @@ impl RefractionStates {
         ended
     }
 
-    /// Ends the samples of a lane that reflect together: either a mirrored ray starts from them, or their own colour is
-    /// returned.
+    /// Ends the samples of a lane that reflect together: either a mirrored ray starts from them, or
+    /// their own colour is returned.
     fn end_mirror(&mut self, packet: &Packet, lane: usize) -> [f32; 3] {
         let state = &mut self.states_of_rays[lane];
         let Some(mirror) = state.mirror.take() else { return [0.0; 3] };
@@ -333,8 +338,8 @@ impl RefractionStates {
 }
 
 impl RefractionState {
-    /// Advances to a sample of refractive index `index`, inside an object (`here`) or not. Returns whether the ray is
-    /// refracted.
+    /// Advances to a sample of refractive index `index`, inside an object (`here`) or not. Returns
+    /// whether the ray is refracted.
     fn comes_to(&mut self, here: Option<Inside>, index: f32, step: f64) -> bool {
         let before = self.index;
         let goes_out = here.is_none();
@@ -376,8 +381,9 @@ fn mirrored(direction: DVec3, normal: DVec3) -> DVec3 {
     (direction - 2.0 * direction.dot(normal) * normal).normalize()
 }
 
-/// The direction refracted by Snell's law; the normal may point to either side. `ratio` is the refractive index before
-/// the boundary divided by that behind it. `None` for total internal reflection.
+/// The direction refracted by Snell's law; the normal may point to either side. `ratio` is the
+/// refractive index before the boundary divided by that behind it. `None` for total internal
+/// reflection.
 fn refracted(direction: DVec3, normal: DVec3, ratio: f64) -> Option<DVec3> {
     let normal = if direction.dot(normal) > 0.0 { -normal } else { normal };
     let cosine = -direction.dot(normal);

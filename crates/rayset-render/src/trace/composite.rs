@@ -1,4 +1,5 @@
-//! Front-to-back compositing: from the optical depths of samples to the contribution of each sample to its ray.
+//! Front-to-back compositing: from the optical depths of samples to the contribution of each sample
+//! to its ray.
 
 use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
@@ -56,7 +57,8 @@ pub(super) struct Absorption {
     pub(super) simd: SimdLevel,
 }
 
-/// Least transmittance at which rays end for which it is foreseen where: far more than what absorption is rounded to.
+/// Least transmittance at which rays end for which it is foreseen where: far more than what
+/// absorption is rounded to.
 const LEAST_FORESEEN: f64 = 1e-4;
 
 impl Absorption {
@@ -102,8 +104,8 @@ impl Absorption {
         going
     }
 
-    /// Advances one ray through the opaque samples of a slab, front to back, whose shares are yet what each absorbs.
-    /// Returns a bit for each contributing sample, and whether the ray ends.
+    /// Advances one ray through the opaque samples of a slab, front to back, whose shares are yet
+    /// what each absorbs. Returns a bit for each contributing sample, and whether the ray ends.
     fn through(
         &self,
         mut opaque: u32,
@@ -132,8 +134,8 @@ fn logarithms(values: &mut [f32; LANES]) {
     values.iter_mut().for_each(|v| *v = ln(*v));
 }
 
-/// Sets the share of each sample to the fraction of light that it absorbs over its step, and its bit if that is any.
-/// Blocks without opacity are left as they are.
+/// Sets the share of each sample to the fraction of light that it absorbs over its step, and its
+/// bit if that is any. Blocks without opacity are left as they are.
 #[inline(always)]
 fn taken<S: Simd>(simd: S, mut lanes: u64, optical_depth: &Rows, step_units: f32, shares: &mut Shares) {
     while lanes != 0 {

@@ -26,7 +26,8 @@ pub struct RenderCounts {
     pub bounced_rays: u64,
     /// The part of `splats` done for these rays, not counting their shadow rays.
     pub bounced_splats: SplatCounts,
-    /// How often a tile, or tiles that were traced together, was deferred because a page was absent. The work done on it until then is not counted.
+    /// How often a tile, or tiles that were traced together, was deferred because a page was
+    /// absent. The work done on it until then is not counted.
     pub deferred: u64,
 }
 

@@ -1,4 +1,5 @@
-//! What a session consists of: pages in memory, open files, threads, and the memory that scenes and pages share.
+//! What a session consists of: pages in memory, open files, threads, and the memory that scenes and
+//! pages share.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -16,15 +17,16 @@ use rayset_store::working_set::{Kind, Limits, PageGuard, WorkingSet};
 /// Most threads allowed: more than any machine has processors.
 const MOST_THREADS: usize = 4096;
 
-/// How the work is done. Nothing here changes a pixel, except that vector instructions with and without fused
-/// multiply–add differ in the last bits.
+/// How the work is done. Nothing here changes a pixel, except that vector instructions with and
+/// without fused multiply–add differ in the last bits.
 #[derive(Clone)]
 pub struct ExecSettings {
     /// Number of threads that trace rays.
     pub threads: usize,
     /// Predicts the pages that will be needed, and prefetches them.
     pub predictor: Arc<dyn Predictor>,
-    /// Vector instruction set. Pictures with and without fused multiply–add differ in the last bits.
+    /// Vector instruction set. Pictures with and without fused multiply–add differ in the last
+    /// bits.
     pub simd: SimdLevel,
     /// Edge of a tile in pixels, 1 to 8.
     pub tile_pixels: u32,
@@ -119,12 +121,12 @@ impl CapMemory<'_> {
 }
 
 impl Engine {
-    /// Starts over a working set and files that are already open. Divides `memory_bytes` between scenes and pages;
-    /// `None` if the budget is for pages alone.
+    /// Starts over a working set and files that are already open. Divides `memory_bytes` between
+    /// scenes and pages; `None` if the budget is for pages alone.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] if the size of tiles or slabs or the number of threads is out of range,
-    /// [`RenderError::Threads`] if the system cannot start a thread.
+    /// [`RenderError::Setting`] if the size of tiles or slabs or the number of threads is out of
+    /// range, [`RenderError::Threads`] if the system cannot start a thread.
     pub(super) fn start(
         files: PagedFiles,
         exec: ExecSettings,

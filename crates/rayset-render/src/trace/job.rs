@@ -29,7 +29,8 @@ use rayset_store::working_set::{PageClient, Reuse};
 const MOST_WAITING: usize = 32;
 /// With this many or fewer, threads that have left are called back.
 const FEW_WAITING: usize = MOST_WAITING / 2;
-/// The caller is woken at most this often while few tiles wait: waking a thread costs as much as a small tile.
+/// The caller is woken at most this often while few tiles wait: waking a thread costs as much as a
+/// small tile.
 const BETWEEN_CALLS: Duration = Duration::from_millis(5);
 /// The caller looks for tiles of its own accord after this long.
 const MOST_UNSEEN: Duration = Duration::from_millis(20);
@@ -52,8 +53,8 @@ pub(super) struct Job {
     progress: Arc<Progress>,
 }
 
-/// How far a render has come. A thread that leaves releases the render itself before it reports so here, so that
-/// nothing of a render outlives the call.
+/// How far a render has come. A thread that leaves releases the render itself before it reports so
+/// here, so that nothing of a render outlives the call.
 #[derive(Default)]
 pub(super) struct Progress {
     state: Mutex<State>,
@@ -108,8 +109,8 @@ pub(super) struct Output {
 
 /// What a render returns to its caller next.
 pub(super) enum Next {
-    /// A finished tile. If threads may have left because too many waited, there is room for the tiles of so many again, which
-    /// are to be called back; otherwise 0.
+    /// A finished tile. If threads may have left because too many waited, there is room for the
+    /// tiles of so many again, which are to be called back; otherwise 0.
     Tile {
         output: Box<Output>,
         room: usize,
@@ -172,7 +173,8 @@ impl Job {
 
     // For the caller of the render.
 
-    /// Waits for a tile to hand out, or for the end of the render, when no thread works on it any more.
+    /// Waits for a tile to hand out, or for the end of the render, when no thread works on it any
+    /// more.
     pub(super) fn next(&self) -> Next {
         let mut state = self.lock();
         loop {
@@ -211,7 +213,8 @@ impl Job {
 
     // For the threads.
 
-    /// Traces tile after tile, until none is left, the thread's turn is over, or too many finished tiles wait.
+    /// Traces tile after tile, until none is left, the thread's turn is over, or too many finished
+    /// tiles wait.
     fn trace_tiles(&self, turn: &Turn<'_>) {
         let exec = &self.prepared.engine.exec;
         let mut tracer = PacketTracer::new(&self.prepared.world, &self.rays, exec.slab_samples);
@@ -267,17 +270,19 @@ impl Job {
         }
     }
 
-    /// Most tiles that a thread traces together. Only where rays are mirrored or bent is there anything to gain: rays that
-    /// follow from different tiles share packets. Those of more sheets than that do not.
+    /// Most tiles that a thread traces together. Only where rays are mirrored or bent is there
+    /// anything to gain: rays that follow from different tiles share packets. Those of more sheets
+    /// than that do not.
     fn most_together(&self) -> usize {
         let world = &self.prepared.world;
         let rays = self.passes.iter().map(ExactSizeIterator::len).max().unwrap_or(1);
         if world.bounces.is_none() || world.layers { 1 } else { (MOST_SHEETS / rays).clamp(1, MOST_TOGETHER) }
     }
 
-    /// A tile that a thread left behind, otherwise the next tiles of the work: as many as are traced together, fewer at
-    /// its end, so that all threads have something to do until then. `None` if there are none, or if the thread has deferred tiles
-    /// to wait for and the next tile should come after them.
+    /// A tile that a thread left behind, otherwise the next tiles of the work: as many as are
+    /// traced together, fewer at its end, so that all threads have something to do until then.
+    /// `None` if there are none, or if the thread has deferred tiles to wait for and the next tile
+    /// should come after them.
     fn take(&self, together: usize, waits: bool) -> Option<Deferred> {
         let mut state = self.lock();
         if let Some(deferred) = state.left_behind.pop() {
@@ -307,8 +312,8 @@ impl Job {
         let mut sums: Vec<TileSums> =
             place.tiles().map(|index| self.earlier(index, tracer.layers())).collect();
         let rays = self.passes[place.pass].clone();
-        // A sheet for each ray of a pixel, tile by tile. With layers, which know one tile and add up ray by ray, sheets are
-        // traced one by one.
+        // A sheet for each ray of a pixel, tile by tile. With layers, which know one tile and add
+        // up ray by ray, sheets are traced one by one.
         let sheets = place.count * rays.len();
         let at_once = if self.prepared.world.layers { 1 } else { sheets };
         for first in (0..sheets).step_by(at_once) {
@@ -362,7 +367,8 @@ impl Job {
         Output { tile, pass: pass as u32, pixels, layers: known }
     }
 
-    /// What the rays of a tile have seen in earlier passes; also restores the thread's layers to that state.
+    /// What the rays of a tile have seen in earlier passes; also restores the thread's layers to
+    /// that state.
     fn earlier(&self, tile: usize, layers: Option<&mut Layers>) -> TileSums {
         let earlier = self.earlier.get(tile);
         let known = earlier.and_then(|sums| sums.lock().unwrap_or_else(PoisonError::into_inner).clone());
@@ -379,9 +385,9 @@ impl Job {
         sums
     }
 
-    /// Hands over finished tiles; after the last tile of a pass, begins the next pass. Wakes the caller at the end of a pass,
-    /// while more than [`FEW_WAITING`] tiles wait, and otherwise at most every [`BETWEEN_CALLS`]. Returns whether too many tiles
-    /// wait.
+    /// Hands over finished tiles; after the last tile of a pass, begins the next pass. Wakes the
+    /// caller at the end of a pass, while more than [`FEW_WAITING`] tiles wait, and otherwise at
+    /// most every [`BETWEEN_CALLS`]. Returns whether too many tiles wait.
     fn finish(&self, outputs: Vec<Output>, turn: &Turn<'_>) -> bool {
         let mut state = self.lock();
         state.finished += outputs.len();
@@ -432,8 +438,9 @@ impl Task for Job {
 }
 
 impl State {
-    /// Whether so many tiles wait that no thread joins: those that have left because too many waited come back together
-    /// when there is room for more than one tile, not for each that is handed out.
+    /// Whether so many tiles wait that no thread joins: those that have left because too many
+    /// waited come back together when there is room for more than one tile, not for each that is
+    /// handed out.
     fn is_filling(&self) -> bool {
         self.outputs.len() > FEW_WAITING
     }

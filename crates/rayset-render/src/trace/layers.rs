@@ -1,5 +1,5 @@
-//! The layers of a picture besides colour: depth, normal and so on, accumulated over the samples that primary rays
-//! meet.
+//! The layers of a picture besides colour: depth, normal and so on, accumulated over the samples
+//! that primary rays meet.
 
 use super::composite::Shares;
 use super::node_samples::{Constants, LEAF, NodeSamples, each_lane};
@@ -73,7 +73,8 @@ impl Layers {
         *rays += 1;
     }
 
-    /// The layers of a tile of `count` pixels, for which pages of `bytes` bytes in all were requested.
+    /// The layers of a tile of `count` pixels, for which pages of `bytes` bytes in all were
+    /// requested.
     pub(super) fn pixels(&self, count: usize, bytes: u64) -> [LayerPixel; LANES] {
         self.0.map(|g| {
             let bytes = bytes as f32 / count as f32;

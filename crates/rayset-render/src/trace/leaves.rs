@@ -10,10 +10,12 @@ use crate::scene::{Scene, Shape};
 use rayset_files::grid::Grid;
 use rayset_files::octree::Cloud;
 
-/// What each cloud of a graph adds to a march: a packet in the cloud's space and the part of its octree ahead.
+/// What each cloud of a graph adds to a march: a packet in the cloud's space and the part of its
+/// octree ahead.
 const CLOUD_BYTES: u64 = 48 << 10;
 
-/// The clouds and grids of a scene, each once, and how many places these and procedural fields have in the graph.
+/// The clouds and grids of a scene, each once, and how many places these and procedural fields have
+/// in the graph.
 #[derive(Default)]
 pub(super) struct Leaves {
     pub(super) clouds: Vec<Arc<Cloud>>,

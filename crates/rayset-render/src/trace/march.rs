@@ -10,7 +10,8 @@ use super::program::{Action, Instruction, Program};
 use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Operator;
 
-/// Most procedural fields of which it is remembered where a packet is in them. Of further ones it is found for each slab.
+/// Most procedural fields of which it is remembered where a packet is in them. Of further ones it
+/// is found for each slab.
 pub(super) const MOST_FIELDS: usize = 64;
 
 /// The progress of a packet through a graph, with scratch memory.
@@ -27,7 +28,8 @@ pub(super) struct March<'p> {
     fields: Vec<Option<Box<ProceduralMarch>>>,
     /// How many of them are there.
     known_fields: usize,
-    /// For each instruction with several uses: its block, once it has been computed for the current slab.
+    /// For each instruction with several uses: its block, once it has been computed for the current
+    /// slab.
     shared: Vec<Option<NodeSamples>>,
     spare: Vec<NodeSamples>,
     scratch: CloudScratch,
@@ -36,16 +38,17 @@ pub(super) struct March<'p> {
     remaining: Option<Remaining>,
 }
 
-/// What is done with the samples of a packet: the light of rays from the eye, what is left of light on its way, surfaces that
-/// are crossed.
+/// What is done with the samples of a packet: the light of rays from the eye, what is left of light
+/// on its way, surfaces that are crossed.
 pub(super) trait SlabVisitor {
-    /// Called where samples are skipped that are empty on all rays. Returns the lanes of those in `going` that end there.
+    /// Called where samples are skipped that are empty on all rays. Returns the lanes of those in
+    /// `going` that end there.
     fn passed_nothing(&mut self, _going: u64) -> u64 {
         0
     }
 
-    /// How much is left of the rays before the next slab: samples behind the end of a ray may then be left empty. `None` if rays
-    /// do not end by what they pass.
+    /// How much is left of the rays before the next slab: samples behind the end of a ray may then
+    /// be left empty. `None` if rays do not end by what they pass.
     fn remaining(&self) -> Option<Remaining> {
         None
     }
@@ -53,7 +56,8 @@ pub(super) trait SlabVisitor {
     /// Where work is counted.
     fn counts(&mut self) -> &mut RenderCounts;
 
-    /// Takes the samples of a slab, of the lanes in `going`. Opacities are optical depths. Returns the lanes that go on.
+    /// Takes the samples of a slab, of the lanes in `going`. Opacities are optical depths. Returns
+    /// the lanes that go on.
     fn sampled(&mut self, slab: Slab, going: u64, node: &mut NodeSamples) -> Result<u64, Halt>;
 }
 
@@ -72,8 +76,8 @@ struct Asked<'a> {
 }
 
 impl<'a> Asked<'a> {
-    /// For each ray, the sum of the optical depths of an instruction's samples with which it ends; `None` if that is not
-    /// known, or its samples have no optical depths.
+    /// For each ray, the sum of the optical depths of an instruction's samples with which it ends;
+    /// `None` if that is not known, or its samples have no optical depths.
     fn ends_of(&self, instruction: &Instruction) -> Option<&'a [f32; LANES]> {
         let depths = instruction.measures.0 == Measure::OpticalDepth && instruction.transfers.is_empty();
         self.ends.filter(|_| depths).map(|ends| &ends.depth)
@@ -109,8 +113,8 @@ impl<'p> March<'p> {
         self.spare.push(node);
     }
 
-    /// Follows the rays of a packet front to back, slab by slab, until all have ended or nothing is left ahead. Returns the lanes
-    /// of the rays that have not ended.
+    /// Follows the rays of a packet front to back, slab by slab, until all have ended or nothing is
+    /// left ahead. Returns the lanes of the rays that have not ended.
     pub(super) fn slabs(
         &mut self,
         access: Access<'_>,
@@ -192,7 +196,8 @@ impl<'p> March<'p> {
         }
     }
 
-    /// Evaluates the graph at the samples of a slab, for the lanes in `going`. Opacities are given as optical depths.
+    /// Evaluates the graph at the samples of a slab, for the lanes in `going`. Opacities are given
+    /// as optical depths.
     fn evaluate(
         &mut self,
         access: Access<'_>,
@@ -377,7 +382,8 @@ impl<'p> March<'p> {
         Ok(())
     }
 
-    /// Intersections evaluate the cheapest child first, but combine children in the order of the graph.
+    /// Intersections evaluate the cheapest child first, but combine children in the order of the
+    /// graph.
     fn intersect(
         &mut self,
         children: &[usize],
@@ -415,7 +421,8 @@ impl<'p> March<'p> {
         outcome
     }
 
-    /// Relative cost of an instruction: procedural fields cost less than grids, and grids less than clouds.
+    /// Relative cost of an instruction: procedural fields cost less than grids, and grids less than
+    /// clouds.
     fn cost(&self, at: usize) -> usize {
         match &self.program.instructions[at].action {
             Action::Procedural(_) => 1,

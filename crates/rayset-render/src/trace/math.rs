@@ -1,6 +1,8 @@
-//! Logarithm and exponentials that vectorise and, unlike the system's own, give the same results on every machine.
+//! Logarithm and exponentials that vectorise and, unlike the system's own, give the same results on
+//! every machine.
 
-/// ln x for positive x; exactly 0 at 1. From 2⁻¹² to 1 its error, as a relative error of 1 − x, is below 1e-6.
+/// ln x for positive x; exactly 0 at 1. From 2⁻¹² to 1 its error, as a relative error of 1 − x, is
+/// below 1e-6.
 #[inline(always)]
 pub(super) fn ln(x: f32) -> f32 {
     let bits = x.to_bits();

@@ -1,4 +1,5 @@
-//! The memory that a render needs besides pages, so that a budget for the whole process can be kept.
+//! The memory that a render needs besides pages, so that a budget for the whole process can be
+//! kept.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -23,12 +24,14 @@ use rayset_store::working_set::{OVERHEAD_BYTES, WorkingSet};
 
 /// Scratch memory, stack and bookkeeping of one thread that traces a single cloud.
 const THREAD_BYTES: u64 = 640 << 10;
-/// What look-ahead stores per page of the files, though it never has most of them in view at a time.
+/// What look-ahead stores per page of the files, though it never has most of them in view at a
+/// time.
 const LOOKAHEAD_BYTES: u64 = 24;
-/// One part in this many of the pages' memory is set aside for gaps in the allocator's memory for everything else.
+/// One part in this many of the pages' memory is set aside for gaps in the allocator's memory for
+/// everything else.
 const ALLOCATOR_PART: u64 = 32;
-/// What a march through the graph keeps for every place: its range of samples, the states of its cloud, grid or field, its
-/// shared block.
+/// What a march through the graph keeps for every place: its range of samples, the states of its
+/// cloud, grid or field, its shared block.
 const MARCH_BYTES: u64 = (24 + 32 + size_of::<Option<NodeSamples>>()) as u64;
 /// Memory for the reads in flight and the threads that serve them.
 const READING_BYTES: u64 = 1 << 20;
@@ -86,10 +89,12 @@ impl SceneNeeds {
         let shadow =
             if scene.lighting.throws_shadows() { most_held * NodeSamples::bytes(opacity_only) } else { 0 };
         let passes = if shadow > 0 { 2 } else { 1 };
-        // Shadows have a march for rays and one for tables, each with node samples and clouds of its own.
+        // Shadows have a march for rays and one for tables, each with node samples and clouds of
+        // its own.
         let marches = if shadow > 0 { 3 } else { 1 };
         let tree = if turns && settings.max_depth > 0 { tree_bytes(settings.max_depth) } else { 0 };
-        // Sums of attributes in the field of a cloud; of class labels, the label and what speaks for it.
+        // Sums of attributes in the field of a cloud; of class labels, the label and what speaks
+        // for it.
         let sums = 2
             * u64::from(required.attributes.count_ones())
             * marches
@@ -132,20 +137,22 @@ impl SceneNeeds {
         Self { threads, ..self }
     }
 
-    /// Sets what the process takes before the render starts, for budgets of whole processes; otherwise nothing.
+    /// Sets what the process takes before the render starts, for budgets of whole processes;
+    /// otherwise nothing.
     #[must_use]
     pub fn with_process(self, process_bytes: u64) -> Self {
         Self { process_bytes, ..self }
     }
 
-    /// Adds the memory that loading the scene took: little of it becomes available to pages, because what remains
-    /// allocated lies scattered in it.
+    /// Adds the memory that loading the scene took: little of it becomes available to pages,
+    /// because what remains allocated lies scattered in it.
     #[must_use]
     pub fn with_loading(self, loading_bytes: u64) -> Self {
         Self { scene_bytes: self.scene_bytes + loading_bytes, ..self }
     }
 
-    /// The same with as little memory for caps as finding them takes; `None` if that is all they may take.
+    /// The same with as little memory for caps as finding them takes; `None` if that is all they
+    /// may take.
     pub(super) fn with_least_caps(&self) -> Option<Self> {
         (self.spare_bytes > 0).then(|| self.clone().with_caps(self.caps_bytes - self.spare_bytes))
     }
@@ -185,7 +192,8 @@ fn request_bytes(leaves: &Leaves) -> u64 {
     transports.map(|transport| transport.memory_bytes()).max().unwrap_or(0)
 }
 
-/// An upper bound on the number of node samples in use at a time, not counting those that several operators need.
+/// An upper bound on the number of node samples in use at a time, not counting those that several
+/// operators need.
 fn node_samples_held(node: &Node) -> usize {
     let Shape::Operator(operator, children) = &node.shape else { return 1 };
     let deepest = children.iter().map(|child| node_samples_held(child)).max().unwrap_or(0);
@@ -328,8 +336,8 @@ fn largest_outputs(
     }
 }
 
-/// Divides the memory of a session that has prepared these scenes. Returns the bytes for pages, and how many of these
-/// shadow tables may take.
+/// Divides the memory of a session that has prepared these scenes. Returns the bytes for pages, and
+/// how many of these shadow tables may take.
 ///
 /// # Errors
 /// The smallest sufficient memory in bytes.
@@ -385,7 +393,8 @@ impl Demand {
         least_pages(self.threads) * (self.largest + OVERHEAD_BYTES + self.largest / ALLOCATOR_PART)
     }
 
-    /// Bytes of pages that fit in `room` bytes of memory, and how many of these shadow tables may take.
+    /// Bytes of pages that fit in `room` bytes of memory, and how many of these shadow tables may
+    /// take.
     pub(super) fn divide(&self, room: u64) -> (u64, u64) {
         // The overhead per page weighs most for small pages.
         let each = self.smallest + OVERHEAD_BYTES + self.smallest / ALLOCATOR_PART;
@@ -399,8 +408,8 @@ impl Demand {
     }
 }
 
-/// The smallest number of pages with which threads cannot wait for each other forever: each retains one at a time while
-/// another is being loaded.
+/// The smallest number of pages with which threads cannot wait for each other forever: each retains
+/// one at a time while another is being loaded.
 #[must_use]
 pub fn least_pages(threads: usize) -> u64 {
     2 * threads as u64 + 2

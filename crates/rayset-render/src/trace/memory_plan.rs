@@ -1,4 +1,5 @@
-//! How the memory of a render is divided between the picture on its way to a file, what the scene needs, and pages.
+//! How the memory of a render is divided between the picture on its way to a file, what the scene
+//! needs, and pages.
 
 use super::ambient_occlusion::{ROWS_SENT, rows_kept};
 use super::memory::{Demand, SceneNeeds};
@@ -8,8 +9,8 @@ use rayset_files::octree::Cloud;
 
 /// Bytes of a pixel with layers in an OpenEXR file.
 const EXR_PIXEL_BYTES: u64 = 60;
-/// Blocks' worth of memory that compressing one takes: itself, two copies, and the outcome. An unoptimised encoder checks
-/// the outcome, too.
+/// Blocks' worth of memory that compressing one takes: itself, two copies, and the outcome. An
+/// unoptimised encoder checks the outcome, too.
 const EXR_COMPRESSING: u64 = if cfg!(debug_assertions) { 5 } else { 4 };
 /// Bytes of a pixel in the band that is being rendered.
 pub const PIXEL_BYTES: u64 = 16;
@@ -22,8 +23,9 @@ pub const LEAST_BAND_ROWS: u32 = 8;
 pub struct MemoryPlan {
     /// Bytes for pages.
     pub page_bytes: u64,
-    /// Of these, the most that cached shadows may take: what the pages of all files leave, but at least half. Evicted
-    /// shadows are computed again, as pages of files are read again, but there can be many more of them.
+    /// Of these, the most that cached shadows may take: what the pages of all files leave, but at
+    /// least half. Evicted shadows are computed again, as pages of files are read again, but there
+    /// can be many more of them.
     pub shadow_bytes: u64,
     /// Bytes of the largest page.
     pub largest_page_bytes: u64,
@@ -31,9 +33,11 @@ pub struct MemoryPlan {
     pub band_rows: u32,
     /// Bytes for caps.
     pub caps_bytes: u64,
-    /// The smallest budget with which the render can run, or, where there are caps, with which these can be counted.
+    /// The smallest budget with which the render can run, or, where there are caps, with which
+    /// these can be counted.
     pub least_bytes: u64,
-    /// A budget with which it runs well: room for the pages that one row of tiles needs, and for as many ahead.
+    /// A budget with which it runs well: room for the pages that one row of tiles needs, and for as
+    /// many ahead.
     pub comfortable_bytes: u64,
 }
 
@@ -87,7 +91,8 @@ impl Picture {
         if budget_bytes < least_bytes {
             return Err(least_bytes);
         }
-        // Up to a quarter of what is free goes to the picture, in whole rows of look-ahead tiles if at least one fits.
+        // Up to a quarter of what is free goes to the picture, in whole rows of look-ahead tiles if
+        // at least one fits.
         let free = budget_bytes - fixed - least_page_bytes;
         let rows =
             (free / 4 / row.max(1)).clamp(u64::from(LEAST_BAND_ROWS), u64::from(height.max(LEAST_BAND_ROWS)));
@@ -113,17 +118,17 @@ impl Picture {
     }
 }
 
-/// Bytes per column for what is being written to an OpenEXR file of `height` rows. Of its blocks of 16 rows one is filled, one
-/// waits, and one is compressed; the last has the rows that are left. The band that the first comes from is gone before that is
-/// compressed.
+/// Bytes per column for what is being written to an OpenEXR file of `height` rows. Of its blocks of
+/// 16 rows one is filled, one waits, and one is compressed; the last has the rows that are left.
+/// The band that the first comes from is gone before that is compressed.
 pub(super) fn exr_bytes(height: u32) -> u64 {
     let compressed = u64::from(height.min(16));
     let others = u64::from(height.saturating_sub(16).min(32));
     (EXR_COMPRESSING * compressed + others) * EXR_PIXEL_BYTES
 }
 
-/// A row of the picture crosses about √n of the n pages of a surface; this is counted for front and back, above and
-/// below.
+/// A row of the picture crosses about √n of the n pages of a surface; this is counted for front and
+/// back, above and below.
 fn comfortable_pages(cloud: &Cloud) -> u64 {
     let header = cloud.header();
     let points = u64::from(header.point_pages);

@@ -1,9 +1,10 @@
 //! The ray tracer: packets of rays through slabs of samples, over a working set of pages.
 //!
-//! A [`Session`] outlives its scenes, a [`PreparedScene`] its views, and a [`View`] its renders. [`View::render`] is
-//! the entry point: it creates a `job`, which the session's threads (`scheduler`) process tile by tile; `packet_tracer`
-//! takes over from there. [`RenderSettings`](crate::scene::RenderSettings), scene and camera determine the picture; of
-//! the [`ExecSettings`], only fused multiply–add changes its last bits.
+//! A [`Session`] outlives its scenes, a [`PreparedScene`] its views, and a [`View`] its renders.
+//! [`View::render`] is the entry point: it creates a `job`, which the session's threads
+//! (`scheduler`) process tile by tile; `packet_tracer` takes over from there.
+//! [`RenderSettings`](crate::scene::RenderSettings), scene and camera determine the picture; of the
+//! [`ExecSettings`], only fused multiply–add changes its last bits.
 
 mod access;
 mod ambient_occlusion;

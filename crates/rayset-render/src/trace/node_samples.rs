@@ -1,8 +1,8 @@
 //! What a node of the scene graph yields at the samples of one slab of a packet.
 //!
-//! Invariant: where the opacity of a node is 0, its other outputs are never read, except for the shading vector and the
-//! boundary of an object that is subtracted. So samples and lanes that cannot matter may hold any values, and skipping
-//! them changes no bit of the picture.
+//! Invariant: where the opacity of a node is 0, its other outputs are never read, except for the
+//! shading vector and the boundary of an object that is subtracted. So samples and lanes that
+//! cannot matter may hold any values, and skipping them changes no bit of the picture.
 
 use super::math::{exp_minus, ln};
 use crate::field::{LANES, SLAB_SAMPLES, SampleRow, SimdLevel, dispatch};
@@ -11,9 +11,9 @@ use rayset_base::geometry::DVec3;
 
 /// The largest optical depth per unit distance: −ln(1 − MAX_OPACITY).
 pub(super) const MAX_OPTICAL_DEPTH: f32 = 8.317_766;
-/// A sample within this many steps behind a boundary is lit at the boundary: it stands for the part of its ray that
-/// begins there, and would otherwise shadow itself to a degree that depends on how the lattice of samples happens to
-/// lie.
+/// A sample within this many steps behind a boundary is lit at the boundary: it stands for the part
+/// of its ray that begins there, and would otherwise shadow itself to a degree that depends on how
+/// the lattice of samples happens to lie.
 pub(super) const STEPS_TO_BOUNDARY: f64 = 2.0;
 pub(super) const ZERO: SampleRow = SampleRow([0.0; SLAB_SAMPLES]);
 pub(super) const FAR: SampleRow = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
@@ -21,7 +21,8 @@ pub(super) const FAR: SampleRow = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
 pub(super) const MATERIAL: usize = 7;
 /// Index of the reflectance among them.
 pub(super) const REFLECTANCE: usize = 4;
-/// Index of the refractive index. Blends do not mix the values from here on: they take those of the largest operand.
+/// Index of the refractive index. Blends do not mix the values from here on: they take those of the
+/// largest operand.
 pub(super) const REFRACTIVE_INDEX: usize = 5;
 /// Index of the leaf number.
 pub(super) const LEAF: usize = 6;
@@ -33,7 +34,8 @@ pub(super) struct RequiredOutputs {
     pub(super) normal: bool,
     /// The signed distance to the boundary that the shading vector belongs to.
     pub(super) boundary: bool,
-    /// Shading vector and boundary also around the object, where its opacity is 0: it is subtracted from another.
+    /// Shading vector and boundary also around the object, where its opacity is 0: it is subtracted
+    /// from another.
     pub(super) outside: bool,
     pub(super) material: bool,
     /// A bit for each named attribute.
@@ -53,7 +55,8 @@ impl RequiredOutputs {
     }
 }
 
-/// How opacity is expressed. Maxima and minima are the same in both measures; rays need optical depths in the end.
+/// How opacity is expressed. Maxima and minima are the same in both measures; rays need optical
+/// depths in the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Measure {
     /// O, 0 to [`MAX_OPACITY`].
@@ -77,8 +80,8 @@ impl Live {
     }
 }
 
-/// Outputs that are the same for all samples of a scene; samples then need no rows for them. `None` if samples may
-/// differ.
+/// Outputs that are the same for all samples of a scene; samples then need no rows for them. `None`
+/// if samples may differ.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Constants {
     /// Linear light.
@@ -124,7 +127,8 @@ pub(super) struct NodeSamples {
     pub(super) material: [Rows; MATERIAL],
     /// Named attributes, by their numbers in the program.
     pub(super) attributes: Vec<Rows>,
-    /// While a blend is summed: the opacity of its largest operand so far, whose refractive index the blend takes.
+    /// While a blend is summed: the opacity of its largest operand so far, whose refractive index
+    /// the blend takes.
     pub(super) largest: Rows,
 }
 
@@ -200,7 +204,8 @@ impl NodeSamples {
         color.chain(normal).chain(boundary).chain(material).chain(attributes.map(|(_, rows)| rows))
     }
 
-    /// Samples of `live` that another operand of a union could still change: those that are not opaque.
+    /// Samples of `live` that another operand of a union could still change: those that are not
+    /// opaque.
     pub(super) fn not_opaque(&self, live: &Live, measure: Measure) -> Live {
         let most = most(measure);
         self.narrowed(live, true, |o| o < most)
@@ -257,7 +262,8 @@ fn most(measure: Measure) -> f32 {
 #[inline(always)]
 pub(super) fn normalize(x: &mut SampleRow, y: &mut SampleRow, z: &mut SampleRow) {
     for j in 0..SLAB_SAMPLES {
-        // Relative to the largest component, so that squaring can neither overflow nor underflow to zero.
+        // Relative to the largest component, so that squaring can neither overflow nor underflow to
+        // zero.
         let largest = x.0[j].abs().max(y.0[j].abs()).max(z.0[j].abs());
         let fits = (f32::MIN_POSITIVE..f32::INFINITY).contains(&largest);
         let unit = if fits { 1.0 / largest } else { 0.0 };

@@ -45,7 +45,8 @@ impl NodeSamples {
                 take(&mut largest, &o, takes);
                 let mut takes = bits_where(|j| o.0[j] < least.0[j]);
                 if boundary {
-                    // Of two that are equally opaque, or both transparent, the one with the larger boundary ends first.
+                    // Of two that are equally opaque, or both transparent, the one with the larger
+                    // boundary ends first.
                     let (s, t) = (first.boundary[lane], other.boundary[lane]);
                     takes |= bits_where(|j| o.0[j] == least.0[j] && t.0[j] > s.0[j]);
                 }
@@ -79,8 +80,8 @@ impl NodeSamples {
         });
     }
 
-    /// Adds an operand of a blend; call [`finish_blend`](Self::finish_blend) after the last. Until then attributes and
-    /// shading vectors are weighted sums.
+    /// Adds an operand of a blend; call [`finish_blend`](Self::finish_blend) after the last. Until
+    /// then attributes and shading vectors are weighted sums.
     pub(super) fn add(&mut self, other: &Self, required: RequiredOutputs, first: bool) {
         if first {
             self.touched = 0;
@@ -93,7 +94,8 @@ impl NodeSamples {
                 if fresh {
                     self.boundary[lane] = FAR;
                 }
-                // An operand that is transparent here has no part in the blend, nor has its boundary.
+                // An operand that is transparent here has no part in the blend, nor has its
+                // boundary.
                 let (s, t) = (self.boundary[lane], other.boundary[lane]);
                 bits_where(|j| o.0[j] > 0.0 && (!(sum.0[j] > 0.0) || t.0[j].abs() < s.0[j].abs()))
             } else {
@@ -202,7 +204,8 @@ mod tests {
         attributes: 0b101,
     };
 
-    /// One lane of opacities from a few values, so that ties are common, with a colour that tells the operands apart.
+    /// One lane of opacities from a few values, so that ties are common, with a colour that tells
+    /// the operands apart.
     fn samples() -> impl Strategy<Value = NodeSamples> {
         let opacity = prop::sample::select(vec![0.0, 0.25, 0.5, 0.75, MAX_OPACITY as f32]);
         (prop::collection::vec(opacity, SLAB_SAMPLES), 0.0_f32..1.0).prop_map(|(opacities, color)| {
@@ -221,13 +224,15 @@ mod tests {
         copy
     }
 
-    /// Opacities and boundaries of a few values, with a shading vector that tells the operands apart.
+    /// Opacities and boundaries of a few values, with a shading vector that tells the operands
+    /// apart.
     fn solids() -> impl Strategy<Value = Vec<(f32, f32)>> {
         let values = (prop::sample::select(vec![0.0_f32, 0.5, 0.75]), -9_i8..0);
         prop::collection::vec(values.prop_map(|(o, b)| (o, f32::from(b))), SLAB_SAMPLES)
     }
 
-    /// What an intersection has of some solids: opacity, boundary and shading vector where the opacity is not 0.
+    /// What an intersection has of some solids: opacity, boundary and shading vector where the
+    /// opacity is not 0.
     fn shape_of(solids: &[Vec<(f32, f32)>], order: &[usize]) -> Vec<Option<[f32; 3]>> {
         let mut children: Vec<NodeSamples> = (order.iter())
             .map(|&number| {

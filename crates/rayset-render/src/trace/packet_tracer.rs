@@ -1,5 +1,5 @@
-//! Traces the rays of tiles, packet by packet, and each packet slab by slab: the loop that takes nearly all of the
-//! time.
+//! Traces the rays of tiles, packet by packet, and each packet slab by slab: the loop that takes
+//! nearly all of the time.
 
 use std::ops::Range;
 
@@ -72,14 +72,16 @@ impl<'a> PacketTracer<'a> {
         self.layers.as_mut()
     }
 
-    /// Traces sheets of primary rays and the rays that follow from them. `make` fills the sheet of a number; `done` is
-    /// given the number of a sheet and what each of its rays sees, in the order of the sheets.
+    /// Traces sheets of primary rays and the rays that follow from them. `make` fills the sheet of
+    /// a number; `done` is given the number of a sheet and what each of its rays sees, in the order
+    /// of the sheets.
     ///
-    /// Layers are gathered by pixel of a tile, sheet by sheet: with layers, there is one sheet at a time.
+    /// Layers are gathered by pixel of a tile, sheet by sheet: with layers, there is one sheet at a
+    /// time.
     ///
-    /// Rays that follow from several sheets are traced together: mirrored rays of one tile go in all directions, and few
-    /// of them one way. The light of rays is added generation by generation in the order of their parents, so that sums do
-    /// not depend on how rays form packets.
+    /// Rays that follow from several sheets are traced together: mirrored rays of one tile go in
+    /// all directions, and few of them one way. The light of rays is added generation by generation
+    /// in the order of their parents, so that sums do not depend on how rays form packets.
     pub(super) fn trace(
         &mut self,
         access: Access<'_>,
@@ -136,8 +138,8 @@ impl<'a> PacketTracer<'a> {
         Ok(())
     }
 
-    /// Traces some rays of one sheet, whose number is `at`: together, or half of them at a time if too many rays would
-    /// follow.
+    /// Traces some rays of one sheet, whose number is `at`: together, or half of them at a time if
+    /// too many rays would follow.
     fn pixels(
         &mut self,
         access: Access<'_>,
@@ -162,8 +164,8 @@ impl<'a> PacketTracer<'a> {
         self.pixels(access, tree, sheet, middle..pixels.end, at)
     }
 
-    /// Traces the rays of a tree and adds their light; collects their successors. Stops if they are too many and that is
-    /// of interest.
+    /// Traces the rays of a tree and adds their light; collects their successors. Stops if they are
+    /// too many and that is of interest.
     fn generation(
         &mut self,
         access: Access<'_>,
@@ -186,8 +188,8 @@ impl<'a> PacketTracer<'a> {
         Ok(Traced::Whole)
     }
 
-    /// Asks for the pages that rays will need. Those of rays from the eye have been looked for before: they are only if that did
-    /// not suffice.
+    /// Asks for the pages that rays will need. Those of rays from the eye have been looked for
+    /// before: they are only if that did not suffice.
     fn ask_ahead(&self, access: Access<'_>, tree: &RayTree, packets: &[(f64, Vec<usize>)]) {
         let generation = tree.generation();
         let Some(reach) = access.foresees else { return };
@@ -332,7 +334,8 @@ impl LightOfPacket<'_, '_> {
         Ok(())
     }
 
-    /// Ends the rays in `going`, which leave everything. Returns the lanes of rays that successors have replaced.
+    /// Ends the rays in `going`, which leave everything. Returns the lanes of rays that successors
+    /// have replaced.
     fn end(self, going: u64) -> u64 {
         let Some(refraction) = self.refraction else { return 0 };
         refraction.leave(self.packet, going, self.states);

@@ -1,4 +1,5 @@
-//! A scene compiled for tracing, with everything that lives as long as it does: its programs and its shadow tables.
+//! A scene compiled for tracing, with everything that lives as long as it does: its programs and
+//! its shadow tables.
 
 use std::sync::Arc;
 
@@ -6,9 +7,11 @@ use super::engine::{Engine, Reservation};
 use super::world::World;
 use crate::scene::{RenderSettings, Scene};
 
-/// A scene that is ready to be rendered, any number of times and from several threads. Cheap to clone.
+/// A scene that is ready to be rendered, any number of times and from several threads. Cheap to
+/// clone.
 ///
-/// Cached shadows are computed as views need them and kept, within the session's budget, as long as this value lives.
+/// Cached shadows are computed as views need them and kept, within the session's budget, as long as
+/// this value lives.
 #[derive(Clone, Debug)]
 pub struct PreparedScene(pub(super) Arc<Prepared>);
 
@@ -48,7 +51,8 @@ impl PreparedScene {
         &self.0.remarks
     }
 
-    /// The longest distance between two samples of a ray, in world space: a surface is seen at most so far behind where it begins.
+    /// The longest distance between two samples of a ray, in world space: a surface is seen at most
+    /// so far behind where it begins.
     #[doc(hidden)]
     #[must_use]
     pub fn longest_step(&self) -> f64 {

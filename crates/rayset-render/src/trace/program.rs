@@ -1,8 +1,8 @@
-//! A scene graph compiled for tracing: flattened into instructions, each after those it needs; immutable, and shared by
-//! all threads.
+//! A scene graph compiled for tracing: flattened into instructions, each after those it needs;
+//! immutable, and shared by all threads.
 //!
-//! A node that is reached twice with the same transform and material becomes one instruction, whose samples are computed
-//! once.
+//! A node that is reached twice with the same transform and material becomes one instruction, whose
+//! samples are computed once.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -67,21 +67,23 @@ pub(super) struct Program {
     pub(super) instructions: Vec<Instruction>,
     /// Every output that any instruction requires.
     pub(super) required: RequiredOutputs,
-    /// The boundary of a subtracted object does not affect the shading of samples farther from it than this; world
-    /// space.
+    /// The boundary of a subtracted object does not affect the shading of samples farther from it
+    /// than this; world space.
     pub(super) reach: f64,
     /// Outputs that all samples share.
     pub(super) constants: Constants,
     pub(super) simd: SimdLevel,
 }
 
-/// A compiled node: its action, its bounds in the world, and the colour of all its samples, if it is the same.
+/// A compiled node: its action, its bounds in the world, and the colour of all its samples, if it
+/// is the same.
 type Compiled = (Action, Aabb, Option<[f32; 3]>);
 
 /// A node with its transform to the world and the index of its material.
 type Key = (*const Node, [u64; 12], usize);
 
-/// An upper bound on the bytes that a place of the graph takes in a program, besides the node's own tables and lists.
+/// An upper bound on the bytes that a place of the graph takes in a program, besides the node's own
+/// tables and lists.
 pub(super) const PLACE_BYTES: u64 = {
     let largest = {
         let (cloud, grid, field) =
@@ -195,8 +197,8 @@ impl Compiler<'_> {
         numbers
     }
 
-    /// Adds a node and what it needs; returns the index of its instruction. `material` applies if the node has none of
-    /// its own.
+    /// Adds a node and what it needs; returns the index of its instruction. `material` applies if
+    /// the node has none of its own.
     fn add(
         &mut self,
         node: &Arc<Node>,
@@ -294,8 +296,8 @@ impl Compiler<'_> {
         Ok((Action::Operator(operator, children), bounds, first.filter(|_| same)))
     }
 
-    /// Leaves out subtracted objects that are so far from the first operand that they neither cut it nor affect its
-    /// shading.
+    /// Leaves out subtracted objects that are so far from the first operand that they neither cut
+    /// it nor affect its shading.
     fn drop_unreachable_subtrahends(
         &self,
         operator: Operator,
@@ -411,7 +413,8 @@ impl Compiler<'_> {
                     attributes: if place == 0 { below.attributes } else { 0 },
                     ..below
                 },
-                // Where children are equally opaque, their boundaries say which of them has the surface.
+                // Where children are equally opaque, their boundaries say which of them has the
+                // surface.
                 Operator::Intersection => {
                     RequiredOutputs { boundary: below.boundary || below.normal, ..below }
                 }

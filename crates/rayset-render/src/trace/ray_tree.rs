@@ -1,4 +1,5 @@
-//! The rays of several tiles: those of one generation, and the next, which mirrors and glass make of it.
+//! The rays of several tiles: those of one generation, and the next, which mirrors and glass make
+//! of it.
 
 use std::ops::Range;
 
@@ -10,11 +11,13 @@ use crate::field::LANES;
 use crate::scene::RayMaker;
 use rayset_base::geometry::Ray;
 
-/// Most rays, of one generation and the next, that are held at a time if they belong to several pixels.
+/// Most rays, of one generation and the next, that are held at a time if they belong to several
+/// pixels.
 const MOST_RAYS: usize = 2816;
 /// Room for these, and for those of the packet after which they are too many.
 const RAY_ROOM: usize = MOST_RAYS + 4 * LANES;
-/// With so many rays that follow, no further sheet is begun: each of them may have about two successors.
+/// With so many rays that follow, no further sheet is begun: each of them may have about two
+/// successors.
 const ENOUGH_RAYS: usize = MOST_RAYS / 3;
 /// Most sheets whose rays are traced together.
 pub(super) const MOST_SHEETS: usize = 64;
@@ -30,12 +33,12 @@ pub(super) fn tree_bytes(max_depth: u32) -> u64 {
 /// At most 64 primary rays, each with its sample offset: one for each pixel of a tile.
 pub(super) type Sheet = Vec<(Ray, f64)>;
 
-/// One generation of rays, and the next. Kept from tile to tile: allocating and freeing it in between pages would
-/// fragment the heap, and the process would exceed its budget.
+/// One generation of rays, and the next. Kept from tile to tile: allocating and freeing it in
+/// between pages would fragment the heap, and the process would exceed its budget.
 #[derive(Default)]
 pub(super) struct RayTree {
-    /// The generation that is being traced, and behind it the next: one grows as the other is done, so that both need no more
-    /// room than the larger of them and a few.
+    /// The generation that is being traced, and behind it the next: one grows as the other is done,
+    /// so that both need no more room than the larger of them and a few.
     rays: Vec<Successor>,
     /// Number of rays in the generation that is being traced.
     traced: usize,
@@ -64,7 +67,8 @@ pub(super) struct End {
 }
 
 impl RayTree {
-    /// Sets memory aside for rays that follow from others, so that it does not grow by more than is needed.
+    /// Sets memory aside for rays that follow from others, so that it does not grow by more than is
+    /// needed.
     pub(super) fn with_room() -> Self {
         Self { rays: Vec::with_capacity(RAY_ROOM), ends: Vec::with_capacity(RAY_ROOM), ..Self::default() }
     }
@@ -76,7 +80,8 @@ impl RayTree {
         self.seen.clear();
     }
 
-    /// Makes the rays of a sheet the ones to trace, as those of sheet `at`; the successors of others are kept.
+    /// Makes the rays of a sheet the ones to trace, as those of sheet `at`; the successors of
+    /// others are kept.
     pub(super) fn add_sheet(&mut self, sheet: &Sheet, rays: &RayMaker, at: usize) {
         self.seen.resize((at + 1) * LANES, Seen::default());
         self.start(sheet, rays, 0..sheet.len(), at);
@@ -132,7 +137,8 @@ impl RayTree {
         self.rays.len() > MOST_RAYS
     }
 
-    /// Adds the light of the rays to their pixels, and sorts the successors from number `known` on by their parents.
+    /// Adds the light of the rays to their pixels, and sorts the successors from number `known` on
+    /// by their parents.
     pub(super) fn gather(&mut self, known: usize, background: Option<[f32; 3]>) {
         let (generation, next) = self.rays.split_at_mut(self.traced);
         for (Successor { ray, .. }, end) in generation.iter().zip(&self.ends) {
@@ -146,8 +152,9 @@ impl RayTree {
         std::array::from_fn(|pixel| self.seen[at * LANES + pixel])
     }
 
-    /// Groups the rays into packets: the step and the members of each. Rays that have been turned are together if their
-    /// directions are in the same octant and their first slabs near to each other.
+    /// Groups the rays into packets: the step and the members of each. Rays that have been turned
+    /// are together if their directions are in the same octant and their first slabs near to each
+    /// other.
     pub(super) fn packets(&self, access: Access<'_>, world: &World) -> Result<Vec<(f64, Vec<usize>)>, Halt> {
         let place = |&i: &usize| (self.rays[i].ray.ray, self.rays[i].ray.sample_offset);
         let mut order: Vec<usize> = (0..self.traced).collect();

@@ -1,7 +1,8 @@
 //! The threads of a session, and the renders that they share.
 //!
-//! A thread works on one render at a time, tile by tile. It joins the render with the fewest threads, and after a while
-//! leaves it if another render has work and no thread: so two renders on one thread take turns.
+//! A thread works on one render at a time, tile by tile. It joins the render with the fewest
+//! threads, and after a while leaves it if another render has work and no thread: so two renders on
+//! one thread take turns.
 
 use std::cell::Cell;
 use std::io;
@@ -12,7 +13,8 @@ use std::time::{Duration, Instant};
 use rayset_base::sync::atomic::{AtomicU64, Ordering};
 use rayset_base::sync::{Condvar, Mutex, MutexGuard, lock_counting};
 
-/// How long a thread stays with a render while another has no thread: long compared to the cost of starting again.
+/// How long a thread stays with a render while another has no thread: long compared to the cost of
+/// starting again.
 const TURN: Duration = Duration::from_millis(20);
 
 /// A task that threads share: a render.
@@ -152,7 +154,8 @@ pub(super) struct Turn<'a> {
 }
 
 impl Turn<'_> {
-    /// Whether the thread is to leave: its turn has been long enough, and another render has work but no thread.
+    /// Whether the thread is to leave: its turn has been long enough, and another render has work
+    /// but no thread.
     pub(super) fn is_over(&self) -> bool {
         if self.since.get().elapsed() <= TURN {
             return false;
@@ -181,7 +184,8 @@ fn work(shared: &Shared) {
     }
 }
 
-/// Waits for a render that has work, and joins the one with the fewest threads; `None` if the scheduler is closed.
+/// Waits for a render that has work, and joins the one with the fewest threads; `None` if the
+/// scheduler is closed.
 fn next_task(shared: &Shared) -> Option<Arc<dyn Task>> {
     let mut state = shared.lock();
     loop {

@@ -3,11 +3,12 @@
 use crate::field::{LANES, SLAB_SAMPLES};
 use rayset_base::geometry::{Aabb, DVec3, Ray};
 
-/// A packet is split if its bound over a slab is more than this many times as long as the slab of a single ray.
+/// A packet is split if its bound over a slab is more than this many times as long as the slab of a
+/// single ray.
 const MOST_SPREAD: f64 = 4.0;
 
-/// Splits `members`, which are numbers of rays, until the rays of each group fit into a packet and are close together over
-/// their first slab.
+/// Splits `members`, which are numbers of rays, until the rays of each group fit into a packet and
+/// are close together over their first slab.
 pub(super) fn coherent_groups<'r>(
     ray: impl Fn(usize) -> &'r Ray,
     members: Vec<usize>,
@@ -27,7 +28,8 @@ pub(super) fn coherent_groups<'r>(
             done.push(group);
             continue;
         }
-        // Split in halves along the axis on which the midpoints of the first slabs are farthest apart.
+        // Split in halves along the axis on which the midpoints of the first slabs are farthest
+        // apart.
         let middle = |i: usize| ray(i).at(0.5 * length);
         let mut middles = Aabb::EMPTY;
         group.iter().for_each(|&i| middles.include(middle(i)));

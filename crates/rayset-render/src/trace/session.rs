@@ -19,7 +19,8 @@ use rayset_files::octree::Cloud;
 use rayset_store::working_set::read::{self, BackendKind, Delayed};
 use rayset_store::working_set::{Limits, Statistics, WorkingSet};
 
-/// Pages in memory within a budget, the files that they come from, and the threads that trace. Cheap to clone.
+/// Pages in memory within a budget, the files that they come from, and the threads that trace.
+/// Cheap to clone.
 ///
 /// Any number of scenes can be prepared and rendered at the same time, from any thread.
 #[derive(Clone)]
@@ -57,8 +58,9 @@ impl Default for SessionBuilder {
 }
 
 impl SessionBuilder {
-    /// Budget for all memory that the session allocates, in bytes: pages, compiled scenes, shadow tables, scratch
-    /// memory of threads. Pictures belong to the caller and are not included. 1 GiB by default.
+    /// Budget for all memory that the session allocates, in bytes: pages, compiled scenes, shadow
+    /// tables, scratch memory of threads. Pictures belong to the caller and are not included. 1 GiB
+    /// by default.
     pub fn memory(mut self, bytes: u64) -> Self {
         (self.memory_bytes, self.page_limits) = (bytes, None);
         self
@@ -70,7 +72,8 @@ impl SessionBuilder {
         self
     }
 
-    /// Bytes for the caps of a scene, where the budget is for pages alone; without limit by default.
+    /// Bytes for the caps of a scene, where the budget is for pages alone; without limit by
+    /// default.
     #[doc(hidden)]
     pub fn caps_bytes(mut self, bytes: u64) -> Self {
         self.caps_bytes = bytes;
@@ -83,13 +86,15 @@ impl SessionBuilder {
         self
     }
 
-    /// How pages are read. By default with io_uring if the system has it, otherwise with a pool of threads.
+    /// How pages are read. By default with io_uring if the system has it, otherwise with a pool of
+    /// threads.
     pub fn io(mut self, kind: BackendKind) -> Self {
         self.io = kind;
         self
     }
 
-    /// Whether files are read with direct I/O, bypassing the system's page cache; `false` by default.
+    /// Whether files are read with direct I/O, bypassing the system's page cache; `false` by
+    /// default.
     pub fn direct(mut self, direct: bool) -> Self {
         self.exec.direct = direct;
         self
@@ -101,14 +106,15 @@ impl SessionBuilder {
         self
     }
 
-    /// How pages are predicted and prefetched before they are needed; [`Prediction::Packet`] by default.
+    /// How pages are predicted and prefetched before they are needed; [`Prediction::Packet`] by
+    /// default.
     pub fn prediction(mut self, prediction: Prediction) -> Self {
         self.exec.predictor = prediction.predictor();
         self
     }
 
-    /// Vector instruction set; the best that the processor has by default. Pictures with and without fused multiply–add
-    /// differ in the last bits.
+    /// Vector instruction set; the best that the processor has by default. Pictures with and
+    /// without fused multiply–add differ in the last bits.
     pub fn simd(mut self, simd: SimdLevel) -> Self {
         self.exec.simd = simd;
         self
@@ -129,9 +135,9 @@ impl SessionBuilder {
     /// Creates the session and starts its threads.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] if the size of tiles or slabs or the number of threads is out of range,
-    /// [`RenderError::Io`] if io_uring is requested but not available, [`RenderError::Threads`] if the system cannot
-    /// start a thread.
+    /// [`RenderError::Setting`] if the size of tiles or slabs or the number of threads is out of
+    /// range, [`RenderError::Io`] if io_uring is requested but not available,
+    /// [`RenderError::Threads`] if the system cannot start a thread.
     pub fn build(self) -> Result<Session, RenderError> {
         let mut backend = read::backend(self.io).map_err(RenderError::Io)?;
         if !self.read_delay.is_zero() {
@@ -155,20 +161,21 @@ impl Session {
     /// Creates a session over a working set and files that are already open.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] if the size of tiles or slabs or the number of threads is out of range,
-    /// [`RenderError::Threads`] if the system cannot start a thread.
+    /// [`RenderError::Setting`] if the size of tiles or slabs or the number of threads is out of
+    /// range, [`RenderError::Threads`] if the system cannot start a thread.
     #[doc(hidden)]
     pub fn over(files: PagedFiles, exec: ExecSettings) -> Result<Self, RenderError> {
         Ok(Self(Arc::new(Engine::start(files, exec, None, String::new())?)))
     }
 
-    /// Compiles a scene: checks it, opens those of its files that are not open yet, and prepares everything that does
-    /// not depend on the camera. The size in `settings` is the default for views. A scene with caps takes about as long as
-    /// a picture; [`PreparedScene::remarks`] says which of them were left out.
+    /// Compiles a scene: checks it, opens those of its files that are not open yet, and prepares
+    /// everything that does not depend on the camera. The size in `settings` is the default for
+    /// views. A scene with caps takes about as long as a picture; [`PreparedScene::remarks`] says
+    /// which of them were left out.
     ///
     /// # Errors
-    /// [`RenderError`] if the scene or a setting is invalid, a file cannot be opened, or the session's memory is too
-    /// small.
+    /// [`RenderError`] if the scene or a setting is invalid, a file cannot be opened, or the
+    /// session's memory is too small.
     pub fn prepare(&self, scene: &Scene, settings: &RenderSettings) -> Result<PreparedScene, RenderError> {
         check(scene, settings)?;
         let files = {
@@ -214,16 +221,18 @@ impl Session {
         self.0.pages.budget_bytes()
     }
 
-    /// How many of some of a cloud's point pages are in memory. The cloud is one of a scene that has been prepared; of others, none are.
+    /// How many of some of a cloud's point pages are in memory. The cloud is one of a scene that
+    /// has been prepared; of others, none are.
     #[must_use]
     pub fn resident_pages(&self, cloud: &Arc<Cloud>, pages: Range<u32>) -> u32 {
         let object = self.0.files().find(cloud).cloned();
         object.map_or(0, |object| pages.filter(|&page| object.is_resident(page)).count() as u32)
     }
 
-    /// Keeps pages of a cloud's octree in memory for as long as the session lives, those nearest to the root first, up to `most_bytes` of
-    /// them: however the camera jumps, what rays meet first need not be read again. The cloud is one of a scene that has been prepared.
-    /// Returns the bytes that are kept; pages that were kept before stay.
+    /// Keeps pages of a cloud's octree in memory for as long as the session lives, those nearest to
+    /// the root first, up to `most_bytes` of them: however the camera jumps, what rays meet first
+    /// need not be read again. The cloud is one of a scene that has been prepared. Returns the
+    /// bytes that are kept; pages that were kept before stay.
     ///
     /// # Errors
     /// [`RenderError::Page`] if a page cannot be read, or there is no room for it.
@@ -258,8 +267,8 @@ impl Session {
         self.0.exec.simd
     }
 
-    /// What threads have done besides tracing since the session was created: how often they waited for a lock, joined a
-    /// render, and were woken.
+    /// What threads have done besides tracing since the session was created: how often they waited
+    /// for a lock, joined a render, and were woken.
     #[cfg(feature = "internals")]
     #[doc(hidden)]
     #[must_use]

@@ -1,5 +1,5 @@
-//! Shading of samples: groups of eight with a contributing sample are gathered and lit many at a time (`surfaces`); those that
-//! contribute are added to their rays front to back.
+//! Shading of samples: groups of eight with a contributing sample are gathered and lit many at a
+//! time (`surfaces`); those that contribute are added to their rays front to back.
 
 use super::bounce::RefractionStates;
 use super::composite::{RayState, Shares};
@@ -16,7 +16,8 @@ pub(super) struct Shader {
     simd: SimdLevel,
 }
 
-/// For each light, the fraction of it that reaches each sample; `None` for a light that casts no shadows.
+/// For each light, the fraction of it that reaches each sample; `None` for a light that casts no
+/// shadows.
 pub(super) type ShadowRows = Vec<Option<Vec<SampleRow>>>;
 
 /// What a slab shows, to be shaded.
@@ -38,7 +39,8 @@ impl Shader {
         Self { lights, constants, simd }
     }
 
-    /// The colour of all samples, if they share one and are unlit: a ray's colour then follows from its transmittance.
+    /// The colour of all samples, if they share one and are unlit: a ray's colour then follows from
+    /// its transmittance.
     pub(super) fn flat_color(&self) -> Option<[f32; 3]> {
         self.constants.color.filter(|_| self.lights.is_none())
     }

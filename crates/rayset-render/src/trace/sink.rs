@@ -33,7 +33,8 @@ impl FinishedTile<'_> {
         self.pass + 1 == self.passes
     }
 
-    /// Copies the tile to its place in a band that begins at column `left`, and has layers if the tile does.
+    /// Copies the tile to its place in a band that begins at column `left`, and has layers if the
+    /// tile does.
     pub(super) fn paste(&self, band: &mut Band, left: u32) {
         let Tile { x, y, width, height } = self.tile;
         let length = width as usize;
@@ -65,7 +66,8 @@ impl<F: FnMut(&FinishedTile<'_>) -> Result<(), SinkError>> TileSink for F {
     }
 }
 
-/// Receives a picture band by band from the top, as file encoders need it, and reports of its progress.
+/// Receives a picture band by band from the top, as file encoders need it, and reports of its
+/// progress.
 pub trait BandSink {
     /// A finished band.
     ///
@@ -91,8 +93,8 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// Writes the picture as an 8-bit PNG, with the exposure and tone mapping of [`DisplayTransform::default`]. The
-    /// file appears under its name only when it is complete.
+    /// Writes the picture as an 8-bit PNG, with the exposure and tone mapping of
+    /// [`DisplayTransform::default`]. The file appears under its name only when it is complete.
     ///
     /// # Errors
     /// [`PngError`]; a file that exists at `path` is then left unchanged.

@@ -1,16 +1,18 @@
 //! The distance between samples of each ray.
 //!
-//! Automatic steps are δ₀·2^k. k comes from the finest object whose bounds the ray meets, and within a cloud from the
-//! smallest radius among the nodes whose bounds it meets: a function of ray and scene alone, whatever packet the ray is
-//! traced in. Lattices of different k nest.
+//! Automatic steps are δ₀·2^k. k comes from the finest object whose bounds the ray meets, and
+//! within a cloud from the smallest radius among the nodes whose bounds it meets: a function of ray
+//! and scene alone, whatever packet the ray is traced in. Lattices of different k nest.
 //!
-//! In a solid, noise or a grid every sample is evaluated, even if it is empty. So the detail that they ask for is never
-//! less than a fraction of the diagonal of the box around them all, and a ray that meets one of them takes a bounded
-//! number of steps through that box, however fine a cloud in it is. Both limits are functions of the scene alone.
+//! In a solid, noise or a grid every sample is evaluated, even if it is empty. So the detail that
+//! they ask for is never less than a fraction of the diagonal of the box around them all, and a ray
+//! that meets one of them takes a bounded number of steps through that box, however fine a cloud in
+//! it is. Both limits are functions of the scene alone.
 //!
-//! The radii recorded in a node stand for its points only if the points lie close together. If they are scattered, or
-//! have very different radii, most rays that meet the node meet none of its finest points. Then the points themselves
-//! are tested: a ray is as fine as the finest sphere of influence that it passes through.
+//! The radii recorded in a node stand for its points only if the points lie close together. If they
+//! are scattered, or have very different radii, most rays that meet the node meet none of its
+//! finest points. Then the points themselves are tested: a ray is as fine as the finest sphere of
+//! influence that it passes through.
 
 use super::RenderError;
 use super::access::{Access, Halt};
@@ -25,17 +27,18 @@ use rayset_files::octree::walk::{Visit, Visitor, Walk};
 
 /// Finest automatic step: the coarsest times 2^−`FINEST`.
 const FINEST: i32 = 60;
-/// Refinement also stops at this many steps across a scene, whatever radii its files contain, unless the coarsest step
-/// is finer already.
+/// Refinement also stops at this many steps across a scene, whatever radii its files contain,
+/// unless the coarsest step is finer already.
 const MOST_REFINED_STEPS: f64 = (1_u64 << 24) as f64;
-/// The points of a node wider than this many of its least radii are scattered: most rays that meet the node meet no
-/// point.
+/// The points of a node wider than this many of its least radii are scattered: most rays that meet
+/// the node meet no point.
 const SCATTERED: f64 = 256.0;
-/// If a node asks for steps of 2^`ASKED_THEMSELVES` times the coarsest or finer, its scattered points are tested one by
-/// one.
+/// If a node asks for steps of 2^`ASKED_THEMSELVES` times the coarsest or finer, its scattered
+/// points are tested one by one.
 const ASKED_THEMSELVES: i32 = -4;
 
-/// In a grid a step is a fraction of this many voxel spacings: half a spacing if the fraction is a quarter.
+/// In a grid a step is a fraction of this many voxel spacings: half a spacing if the fraction is a
+/// quarter.
 const GRID_DETAIL: f64 = 2.0;
 
 /// Rays of a tile that share a step.
@@ -126,7 +129,8 @@ impl StepRule {
             exponent: exponent(diagonal(within) / MOST_STEPS),
             exponent_in_solids: exponent(around_solids / MOST_STEPS_IN_SOLIDS),
         };
-        // If even the coarsest step is too fine for solids, rays that meet them differ from the others.
+        // If even the coarsest step is too fine for solids, rays that meet them differ from the
+        // others.
         let varies = varies || floors.exponent_in_solids > 0;
         let finest =
             (extent / MOST_REFINED_STEPS / coarsest).log2().ceil().clamp(f64::from(-FINEST), 0.0) as i32;
@@ -166,8 +170,8 @@ impl StepRule {
     }
 }
 
-/// The indices of rays, such that neighbours follow each other: 64 rays are those of a tile of 8 × 8 pixels, row after
-/// row, and come in the order of a Z curve.
+/// The indices of rays, such that neighbours follow each other: 64 rays are those of a tile of 8 ×
+/// 8 pixels, row after row, and come in the order of a Z curve.
 fn in_order(rays: usize) -> impl Iterator<Item = usize> {
     let even_bits = |i: usize| i & 1 | i >> 1 & 2 | i >> 2 & 4;
     (0..rays).map(move |i| if rays == LANES { even_bits(i) + 8 * even_bits(i >> 1) } else { i })
@@ -254,8 +258,8 @@ impl Exponents {
         }
     }
 
-    /// Whether the bounds of a cloud suffice to determine k: its points have one radius, and are not both scattered and
-    /// far finer than everything else.
+    /// Whether the bounds of a cloud suffice to determine k: its points have one radius, and are
+    /// not both scattered and far finer than everything else.
     fn is_one_by_bounds(&self, cloud: &CloudPlacement) -> bool {
         let header = cloud.header();
         let (least, radius) = (f64::from(header.radius.min()), f64::from(header.radius.max()));
@@ -280,13 +284,15 @@ impl Exponents {
         cloud: &CloudPlacement,
         rays: &[(Ray, f64)],
     ) -> Result<(), Halt> {
-        // In the local space of the cloud; a ray meets a box there exactly if it does in world space.
+        // In the local space of the cloud; a ray meets a box there exactly if it does in world
+        // space.
         let rays: Vec<Ray> = rays.iter().map(|(ray, _)| cloud.local_ray(ray)).collect();
         let stretch: Vec<f64> = rays.iter().map(|ray| ray.direction.length()).collect();
         let (least, most) = stretch.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), &s| (a.min(s), b.max(s)));
         let mut beam = Beam::EMPTY;
         rays.iter().for_each(|ray| beam.include(ray));
-        // Finds the rays that may meet a box, many at a time; the exact test is made for each ray by itself.
+        // Finds the rays that may meet a box, many at a time; the exact test is made for each ray
+        // by itself.
         let columns = RayColumns::new(program.simd, rays.iter().copied());
         let local = LocalRays { rays: &rays, stretch: &stretch, columns: &columns, stretches: (least, most) };
         let mut nodes = RetainedNodes { access, cloud };
@@ -296,8 +302,9 @@ impl Exponents {
         walk.go_on(&mut nodes, &mut finest)
     }
 
-    /// Lowers k for rays that meet the box of a node's own points, according to the least radius that these can have;
-    /// if they are scattered and far finer than everything else, the points themselves are tested.
+    /// Lowers k for rays that meet the box of a node's own points, according to the least radius
+    /// that these can have; if they are scattered and far finer than everything else, the points
+    /// themselves are tested.
     fn lower_by_node(
         &mut self,
         access: Access<'_>,
@@ -339,7 +346,8 @@ impl Exponents {
         self.lower_by_points(access, cloud, node, local, ask_points)
     }
 
-    /// Lowers k for rays that pass through the spheres of influence of a node's own points, according to their radii.
+    /// Lowers k for rays that pass through the spheres of influence of a node's own points,
+    /// according to their radii.
     fn lower_by_points(
         &mut self,
         access: Access<'_>,
@@ -364,7 +372,8 @@ impl Exponents {
                 run.decode_local_f64(cloud.root_cell, &mut offsets);
                 let center = run.head.position_bounds(cloud.root_cell).center();
                 for (lane, ray) in local.rays.iter().enumerate().filter(|(lane, _)| near >> lane & 1 == 1) {
-                    // The unit direction in local space, for the squared distance of a point to the ray's line.
+                    // The unit direction in local space, for the squared distance of a point to the
+                    // ray's line.
                     let (stretch, from) = (local.stretch[lane], center - ray.origin);
                     let direction = ray.direction / stretch;
                     for (i, &radius) in radii.iter().enumerate().take(run.head.len()) {

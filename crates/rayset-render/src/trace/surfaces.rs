@@ -93,8 +93,8 @@ fn to_point(toward: DVec3, decays: bool) -> ([f32; 3], f32) {
     (direction, weakened)
 }
 
-/// Samples as surfaces to be lit, in groups of eight samples that follow each other on a ray. Not all of a group need
-/// count; what becomes of the others is of no importance.
+/// Samples as surfaces to be lit, in groups of eight samples that follow each other on a ray. Not
+/// all of a group need count; what becomes of the others is of no importance.
 pub(super) struct Surfaces {
     len: usize,
     groups: [Group; BATCH_GROUPS],
@@ -206,8 +206,8 @@ impl Surfaces {
         }
     }
 
-    /// The fraction of light from a direction that each sample scatters in its own colour, and the fraction that it
-    /// scatters in white.
+    /// The fraction of light from a direction that each sample scatters in its own colour, and the
+    /// fraction that it scatters in white.
     #[inline(always)]
     fn scatter(&self, toward: &[Row; 3], scattered: &mut Row, highlight: &mut Row) {
         let ([x, y, z], [vx, vy, vz], [lx, ly, lz]) = (&self.normal, &self.view, toward);

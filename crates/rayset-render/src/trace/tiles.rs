@@ -1,5 +1,5 @@
-//! The order in which a thread processes its tiles: a tile that needs an absent page is deferred, and traced again from
-//! its beginning when the page is resident.
+//! The order in which a thread processes its tiles: a tile that needs an absent page is deferred,
+//! and traced again from its beginning when the page is resident.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -67,8 +67,9 @@ impl<'a> TileQueue<'a> {
         Self { pages, predictor, asked_bytes, reuse, foreseen, deferred: VecDeque::new() }
     }
 
-    /// A tile whose page has become resident, otherwise what `take` returns when told whether any tile is deferred, otherwise the tile deferred first, which
-    /// then waits for its pages, or, of far ones, for the one that it lacked. A tile from `take` also waits if none may be deferred.
+    /// A tile whose page has become resident, otherwise what `take` returns when told whether any
+    /// tile is deferred, otherwise the tile deferred first, which then waits for its pages, or, of
+    /// far ones, for the one that it lacked. A tile from `take` also waits if none may be deferred.
     pub(super) fn next(
         &mut self,
         deferral: Deferral,
@@ -100,7 +101,8 @@ impl<'a> TileQueue<'a> {
         Some(self.attempt_with_page(&deferred, deferral))
     }
 
-    /// An attempt at a tile once the page that it lacked is there, or, of near ones and after very many attempts, one that waits for all.
+    /// An attempt at a tile once the page that it lacked is there, or, of near ones and after very
+    /// many attempts, one that waits for all.
     fn attempt_with_page(&self, deferred: &Deferred, deferral: Deferral) -> Attempt<'a> {
         let waits = !deferral.far || deferred.attempts >= deferral.impatient_attempts();
         if !waits && let Some(Lacking { object, page }) = &deferred.lacking {
@@ -110,7 +112,8 @@ impl<'a> TileQueue<'a> {
         self.attempt(deferred, waits, deferral)
     }
 
-    /// Takes out the tile that has been attempted most often: it has all the room until it is finished.
+    /// Takes out the tile that has been attempted most often: it has all the room until it is
+    /// finished.
     fn take_stuck(&mut self) -> Option<Deferred> {
         let most = self.deferred.iter().map(|deferred| deferred.attempts).max()?;
         let at = self.deferred.iter().position(|deferred| deferred.attempts == most)?;
@@ -126,8 +129,8 @@ impl<'a> TileQueue<'a> {
     }
 
     pub(super) fn deferred(&mut self, attempt: &Attempt<'_>, lacking: Lacking) {
-        // Tiles that were traced together are put off one by one: each needs fewer pages at a time. They are neighbours, and
-        // would soon lack the same page.
+        // Tiles that were traced together are put off one by one: each needs fewer pages at a time.
+        // They are neighbours, and would soon lack the same page.
         let (lacking, attempts) = (Some(lacking), attempt.number);
         let tiles = attempt.place.singly();
         self.deferred.extend(tiles.map(|place| Deferred { place, attempts, lacking: lacking.clone() }));
@@ -157,8 +160,8 @@ impl<'a> TileQueue<'a> {
 /// Tiles in a row, none of which was put off, after which more are traced together again.
 const CALM_TILES: usize = 64;
 
-/// How many tiles a thread traces together: soon as many as may be, but fewer where pages are missing, for what is put off is
-/// traced again from its beginning.
+/// How many tiles a thread traces together: soon as many as may be, but fewer where pages are
+/// missing, for what is put off is traced again from its beginning.
 pub(super) struct Together {
     now: usize,
     /// The limit at present, and the limit of that.
@@ -199,7 +202,8 @@ mod tests {
     use rayset_store::storage::local::Pool;
     use rayset_store::working_set::{Limits, WorkingSet};
 
-    /// The places of the tiles that a queue attempts, of those deferred after some attempts and a fresh one, 9.
+    /// The places of the tiles that a queue attempts, of those deferred after some attempts and a
+    /// fresh one, 9.
     fn attempted(attempts: &[(usize, u32)], stuck: bool) -> Vec<usize> {
         let set = WorkingSet::new(Limits::total(1 << 20), std::sync::Arc::new(Pool::new(1)));
         let (pages, predictor) = (set.client(&CancelToken::new()), PacketPredictor::default());

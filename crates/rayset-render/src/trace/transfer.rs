@@ -8,14 +8,16 @@ use crate::scene::{Channel, ColorMap, MAX_OPACITY, Transfer, curve_at};
 
 /// Places of a colour map's index: several times the number of knots of a named palette.
 const PLACES: usize = 1024;
-/// Knots for each unit by which a channel changes between two stops: linear interpolation between knots, in linear
-/// light, is within 2e-5 of linear interpolation between the stops in display-encoded values.
+/// Knots for each unit by which a channel changes between two stops: linear interpolation between
+/// knots, in linear light, is within 2e-5 of linear interpolation between the stops in
+/// display-encoded values.
 const KNOTS_PER_UNIT: f64 = 160.0;
 /// Most knots of a map; maps with many stops have fewer knots between two stops.
 const MOST_KNOTS: usize = 1 << 18;
 
-/// A colour map, prepared for lookups: linear interpolation in linear light between knots, which are its stops and some
-/// places in between. The two knots around a value are found exactly, however close together they are.
+/// A colour map, prepared for lookups: linear interpolation in linear light between knots, which
+/// are its stops and some places in between. The two knots around a value are found exactly,
+/// however close together they are.
 pub(super) struct ColorTable {
     /// For each knot, the least value that is not before it. Ascending.
     from: Vec<f32>,
@@ -58,7 +60,8 @@ impl ColorTable {
             .collect();
         // The place of a value by its definition: the index must agree with it, bit for bit.
         let place = |value: f32| (f64::from(value) - low) / (high - low);
-        // A value before the range counts as the beginning of the range; if there are several stops, the last applies.
+        // A value before the range counts as the beginning of the range; if there are several
+        // stops, the last applies.
         let least = |at: f64| if at > 0.0 { least_value(at, place) } else { f32::NEG_INFINITY };
         let from: Vec<f32> = stops.iter().map(|&(at, _)| least(at)).collect();
         let places_per_value = (PLACES as f64 / (high - low)) as f32;
@@ -89,7 +92,8 @@ impl ColorTable {
     pub(super) fn bytes(map: &ColorMap) -> u64 {
         let stops = map.palette.stops();
         let knots: usize = stops.windows(2).map(|pair| pieces(stops.len(), pair[0], pair[1])).sum();
-        // Both lists, and the stops with colours that they are made from, whose list doubles as it grows.
+        // Both lists, and the stops with colours that they are made from, whose list doubles as it
+        // grows.
         let knots = (knots + 1) * (size_of::<Knot>() + size_of::<f32>() + 2 * size_of::<(f64, [f64; 3])>());
         (knots + (PLACES + 2) * size_of::<u32>()) as u64
     }
@@ -149,7 +153,8 @@ fn subdivided(stops: &[(f64, [f64; 3])]) -> Vec<(f64, [f64; 3])> {
     knots
 }
 
-/// The number of pieces into which the line between two neighbours, of `stops` stops in all, is cut.
+/// The number of pieces into which the line between two neighbours, of `stops` stops in all, is
+/// cut.
 fn pieces(stops: usize, (a, from): (f64, [f64; 3]), (b, to): (f64, [f64; 3])) -> usize {
     let most = (MOST_KNOTS / stops.max(1)) as f64;
     let change = (0..3).map(|c| (to[c] - from[c]).abs()).fold(0.0, f64::max);
@@ -158,8 +163,8 @@ fn pieces(stops: usize, (a, from): (f64, [f64; 3]), (b, to): (f64, [f64; 3])) ->
 
 /// The least value whose place is at least `at`, for places that never descend as values ascend.
 fn least_value(at: f64, place: impl Fn(f32) -> f64) -> f32 {
-    // Floating-point numbers in ascending order: negative ones from the largest bit pattern to the smallest, then the
-    // others.
+    // Floating-point numbers in ascending order: negative ones from the largest bit pattern to the
+    // smallest, then the others.
     let number = |order: u32| f32::from_bits(if order >> 31 == 1 { order & 0x7fff_ffff } else { !order });
     let (mut low, mut high) = (0x007f_ffff_u32, 0xff80_0000_u32);
     while low < high {

@@ -32,7 +32,8 @@ impl PreparedScene {
     /// A view of the scene, in a picture of the size given in the settings.
     ///
     /// # Errors
-    /// [`RenderError::Camera`] if the camera is invalid, [`RenderError::Setting`] if the size is out of range.
+    /// [`RenderError::Camera`] if the camera is invalid, [`RenderError::Setting`] if the size is
+    /// out of range.
     pub fn view(&self, camera: &Camera) -> Result<View, RenderError> {
         self.view_of_size(camera, self.0.settings.width, self.0.settings.height)
     }
@@ -40,7 +41,8 @@ impl PreparedScene {
     /// A view of the scene, in a picture of `width` by `height` pixels, each 1 to 1 048 576.
     ///
     /// # Errors
-    /// [`RenderError::Camera`] if the camera is invalid, [`RenderError::Setting`] if the size is out of range.
+    /// [`RenderError::Camera`] if the camera is invalid, [`RenderError::Setting`] if the size is
+    /// out of range.
     pub fn view_of_size(&self, camera: &Camera, width: u32, height: u32) -> Result<View, RenderError> {
         if width == 0 || height == 0 || width > 1 << 20 || height > 1 << 20 {
             let what = format!("{width}x{height} is not between 1x1 and 1048576x1048576");
@@ -62,7 +64,8 @@ impl Drop for CancelWhenDropped<'_> {
 }
 
 impl View {
-    /// The same view with another number of rays along each side of a pixel, 1 to 64: fewer for a preview.
+    /// The same view with another number of rays along each side of a pixel, 1 to 64: fewer for a
+    /// preview.
     ///
     /// # Errors
     /// [`RenderError::Setting`] if the number is out of range.
@@ -78,9 +81,10 @@ impl View {
         Region { columns: 0..self.settings.width, rows: 0..self.settings.height }
     }
 
-    /// The tiles of a region of the picture, in the order that is best for throughput: along a space-filling curve, so
-    /// that tiles traced at the same time need the same pages. Tiles lie on a lattice over the whole picture; those at
-    /// the edges of the region are clipped, and what lies outside the picture is left out.
+    /// The tiles of a region of the picture, in the order that is best for throughput: along a
+    /// space-filling curve, so that tiles traced at the same time need the same pages. Tiles lie on
+    /// a lattice over the whole picture; those at the edges of the region are clipped, and what
+    /// lies outside the picture is left out.
     #[must_use]
     pub fn tiles(&self, region: &Region) -> Vec<Tile> {
         let whole = self.region();
@@ -120,14 +124,15 @@ impl View {
         tiles
     }
 
-    /// Renders tiles on the session's threads, and hands each to `sink` on the calling thread when it is finished.
-    /// Returns when all tiles have been handed out.
+    /// Renders tiles on the session's threads, and hands each to `sink` on the calling thread when
+    /// it is finished. Returns when all tiles have been handed out.
     ///
-    /// Several calls may run at the same time in one session, for one view or many; none changes a pixel of another.
+    /// Several calls may run at the same time in one session, for one view or many; none changes a
+    /// pixel of another.
     ///
     /// # Errors
-    /// [`RenderError`] if a tile does not lie in the picture, a page cannot be obtained, the sink refuses a tile, or
-    /// `cancel` is cancelled. All threads have then released this render.
+    /// [`RenderError`] if a tile does not lie in the picture, a page cannot be obtained, the sink
+    /// refuses a tile, or `cancel` is cancelled. All threads have then released this render.
     pub fn render(
         &self,
         work: &Work,

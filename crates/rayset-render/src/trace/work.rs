@@ -6,8 +6,8 @@ use crate::field::LANES;
 
 /// Longest edge of a tile in pixels.
 pub const MAX_TILE_PIXELS: u32 = 8;
-/// Edge of look-ahead tiles in pixels: squares whose tiles follow each other in the order of tracing and are predicted
-/// together.
+/// Edge of look-ahead tiles in pixels: squares whose tiles follow each other in the order of
+/// tracing and are predicted together.
 pub(super) const LOOKAHEAD_TILE_PIXELS: u32 = 32;
 
 /// A rectangle of pixels of a picture.
@@ -37,7 +37,8 @@ impl Region {
     }
 }
 
-/// A rectangle of pixels that are traced together: its upper left pixel and its size, each edge 1 to 8 pixels.
+/// A rectangle of pixels that are traced together: its upper left pixel and its size, each edge 1
+/// to 8 pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tile {
     /// Left column.
@@ -64,7 +65,8 @@ const _: () = assert!(MAX_TILE_PIXELS as usize * MAX_TILE_PIXELS as usize == LAN
 #[derive(Clone, Debug)]
 pub struct Work {
     pub(super) tiles: Vec<Tile>,
-    /// Tiles of which it is known that they are rendered next, by other work: they are only looked ahead at.
+    /// Tiles of which it is known that they are rendered next, by other work: they are only looked
+    /// ahead at.
     pub(super) upcoming: Vec<Tile>,
     pub(super) passes: Passes,
 }
@@ -92,11 +94,11 @@ impl Work {
         Self { upcoming, ..self }
     }
 
-    /// Divides the work into passes over all tiles: the first traces `rays[0]` rays of every pixel, the next `rays[1]`,
-    /// and so on; the last traces what is left of the square of
-    /// [`RenderSettings::samples`](crate::scene::RenderSettings::samples). After each pass every tile is handed out
-    /// with the mean of what its rays have seen so far; after the last pass this is, bit for bit, the result of a
-    /// single pass.
+    /// Divides the work into passes over all tiles: the first traces `rays[0]` rays of every pixel,
+    /// the next `rays[1]`, and so on; the last traces what is left of the square of
+    /// [`RenderSettings::samples`](crate::scene::RenderSettings::samples). After each pass every
+    /// tile is handed out with the mean of what its rays have seen so far; after the last pass this
+    /// is, bit for bit, the result of a single pass.
     #[must_use]
     pub fn in_passes(self, rays: &[u32]) -> Self {
         Self { passes: Passes::Of(rays.to_vec()), ..self }

@@ -1,5 +1,5 @@
-//! Opening a file: header, footer, length and the sections without pages are checked here; pages are checked when they are
-//! read.
+//! Opening a file: header, footer, length and the sections without pages are checked here; pages
+//! are checked when they are read.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -93,15 +93,17 @@ impl OpenFile {
     /// Opens a file of a kind and checks its header, its features, its length and its footer.
     ///
     /// # Errors
-    /// [`OpenError`] if the file cannot be read, or is not a complete file of this kind and version.
+    /// [`OpenError`] if the file cannot be read, or is not a complete file of this kind and
+    /// version.
     pub fn open(path: &Path, kind: FileKind) -> Result<Self, OpenError> {
         let file =
             regular_file::open(path).map_err(|source| OpenError::Io { path: path.to_owned(), source })?;
         Self::over(path, Arc::new(FileStorage::from(file)), kind)
     }
 
-    /// As [`open`](Self::open), also of an address. With the storage that whoever opens the same object again has to use, so that
-    /// it is the same object; `None` for a file on disk, which is opened by its path.
+    /// As [`open`](Self::open), also of an address. With the storage that whoever opens the same
+    /// object again has to use, so that it is the same object; `None` for a file on disk, which is
+    /// opened by its path.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -214,9 +216,9 @@ impl OpenFile {
         sections.iter().filter(|s| s.pages == 0).try_for_each(|s| self.read_section(s, |_| {}))
     }
 
-    /// Reads all pages in order, one at a time, and checks the digest of every section of pages. Calls `check` first for
-    /// each page of the sections of these `kinds`, with its number (counted over all sections), its offset in the file and
-    /// its bytes.
+    /// Reads all pages in order, one at a time, and checks the digest of every section of pages.
+    /// Calls `check` first for each page of the sections of these `kinds`, with its number (counted
+    /// over all sections), its offset in the file and its bytes.
     ///
     /// # Errors
     /// The error of `check`, or [`OpenError`] if a page cannot be read or a digest differs.
@@ -247,8 +249,8 @@ impl OpenFile {
         Ok(())
     }
 
-    /// Reads a page by its number within a section of pages. Returns its offset in the file and its bytes, which have yet to
-    /// be checked.
+    /// Reads a page by its number within a section of pages. Returns its offset in the file and its
+    /// bytes, which have yet to be checked.
     ///
     /// # Errors
     /// [`OpenError`] if there is no such page, or it cannot be read.

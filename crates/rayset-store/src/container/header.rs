@@ -1,4 +1,5 @@
-//! The first and the last block of a file: its kind, its identity, its features, and where its sections are.
+//! The first and the last block of a file: its kind, its identity, its features, and where its
+//! sections are.
 
 use super::bytes::{Reader, Writer};
 use super::checksum_around;
@@ -218,8 +219,8 @@ impl FileHeader {
     /// [`check_features`](Self::check_features), once the section with their names can be read.
     ///
     /// # Errors
-    /// [`HeaderError`] if the block is not a header of this kind, is of another version, is damaged, or has a field out of
-    /// range.
+    /// [`HeaderError`] if the block is not a header of this kind, is of another version, is
+    /// damaged, or has a field out of range.
     pub fn decode(block: &[u8; BLOCK_BYTES], kind: FileKind) -> Result<Self, HeaderError> {
         match FileKind::of(block) {
             None => return Err(HeaderError::Magic),
@@ -262,8 +263,8 @@ impl FileHeader {
         fields().unwrap_or(Err(short))
     }
 
-    /// Checks that the sections follow each other without gaps from the header to the footer, so that every byte between the
-    /// two belongs to a section.
+    /// Checks that the sections follow each other without gaps from the header to the footer, so
+    /// that every byte between the two belongs to a section.
     fn check_ranges(&self) -> Result<(), HeaderError> {
         let field = |at: usize, what| Err(HeaderError::Field { at: at as u64, what });
         let page_bytes = self.page_bytes as usize;
@@ -293,7 +294,8 @@ impl FileHeader {
         Ok(())
     }
 
-    /// Checks that every required feature is known. `name` returns the name that the file gives to the feature of a bit.
+    /// Checks that every required feature is known. `name` returns the name that the file gives to
+    /// the feature of a bit.
     ///
     /// # Errors
     /// [`HeaderError::Feature`] for the first unknown feature.
@@ -348,7 +350,8 @@ impl Footer {
         block
     }
 
-    /// Checks that a block is the footer that belongs to `header`; `at` is its offset in the file, for messages.
+    /// Checks that a block is the footer that belongs to `header`; `at` is its offset in the file,
+    /// for messages.
     ///
     /// # Errors
     /// [`HeaderError`] if the block is damaged or belongs to another header.

@@ -1,15 +1,16 @@
-//! Distinguishes the pages of one file from those of another: a hash of the input and the options from which the file was
-//! built.
+//! Distinguishes the pages of one file from those of another: a hash of the input and the options
+//! from which the file was built.
 
 use std::fmt;
 
 use xxhash_rust::xxh3::{Xxh3, xxh3_128};
 
-/// Part of every identity, so that a later builder with another page layout gives the same input another identity.
+/// Part of every identity, so that a later builder with another page layout gives the same input
+/// another identity.
 const LAYOUT_REVISION: u32 = 1;
 
-/// The identity of a file: equal for equal content, regardless of the order of the inputs and of the threads and memory of
-/// the build.
+/// The identity of a file: equal for equal content, regardless of the order of the inputs and of
+/// the threads and memory of the build.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Identity(pub [u8; 16]);
 
@@ -27,8 +28,8 @@ impl fmt::Display for Identity {
     }
 }
 
-/// A hash of a record; sums of it do not depend on the order of records, and that of all records is the lowest of
-/// [`RecordSum::to_words`].
+/// A hash of a record; sums of it do not depend on the order of records, and that of all records is
+/// the lowest of [`RecordSum::to_words`].
 pub fn record_hash(record: &[u8]) -> u64 {
     xxh3_128(record) as u64
 }
@@ -64,8 +65,8 @@ impl RecordSum {
         self.count += other.count;
     }
 
-    /// The identity of a file made from these records and from `options`, which state everything else that its pages depend
-    /// on.
+    /// The identity of a file made from these records and from `options`, which state everything
+    /// else that its pages depend on.
     pub fn identity(self, options: &str) -> Identity {
         let mut hash = StreamHash::new(options);
         hash.update(&self.sum.to_le_bytes());

@@ -1,9 +1,11 @@
-//! The container format that cloud and grid files share: a header block with a directory of sections, pages, and a footer.
+//! The container format that cloud and grid files share: a header block with a directory of
+//! sections, pages, and a footer.
 //!
-//! Every byte of a file is covered by a CRC-32C. The [`Identity`] of a file is part of the checksum of each of its pages: if
-//! an open file is overwritten by another one, the pages of the new file are not mistaken for its own. Unknown sections and
-//! optional features are ignored, and unknown required features are an error that names them, so that later writers can
-//! extend the format without a new version. `docs/format.md` describes the same tables in prose.
+//! Every byte of a file is covered by a CRC-32C. The [`Identity`] of a file is part of the checksum
+//! of each of its pages: if an open file is overwritten by another one, the pages of the new file
+//! are not mistaken for its own. Unknown sections and optional features are ignored, and unknown
+//! required features are an error that names them, so that later writers can extend the format
+//! without a new version. `docs/format.md` describes the same tables in prose.
 
 mod bytes;
 mod file;

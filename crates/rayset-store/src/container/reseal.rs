@@ -1,11 +1,12 @@
-//! Corrects the checksums of a mutated file, so that tests and fuzzers reach the code behind the checks.
+//! Corrects the checksums of a mutated file, so that tests and fuzzers reach the code behind the
+//! checks.
 
 use super::checksum_around;
 use super::header::{BLOCK_BYTES, CHECKSUM_AT, DIRECTORY_AT, FileHeader, FileKind, Footer, SECTION_BYTES};
 use super::page::PAGE_CHECKSUM_AT;
 
-/// Recomputes every checksum that can be reached from the file's header: of pages, sections, header and footer. If the
-/// header is invalid, only its own checksum is corrected.
+/// Recomputes every checksum that can be reached from the file's header: of pages, sections, header
+/// and footer. If the header is invalid, only its own checksum is corrected.
 pub fn reseal(bytes: &mut [u8]) {
     if bytes.len() < 2 * BLOCK_BYTES {
         return;

@@ -1,4 +1,5 @@
-//! Pages that are read here and there: of a far file many at a time, for each would take a round trip.
+//! Pages that are read here and there: of a far file many at a time, for each would take a round
+//! trip.
 
 use std::io;
 use std::sync::{Arc, mpsc};
@@ -12,8 +13,8 @@ use crate::storage::{PageBuffer, Storage};
 const MOST_BYTES: usize = 1 << 20;
 
 impl OpenFile {
-    /// Passes some pages of a section of pages to `take`, in the order of `pages`: the number of each within the section, its offset in the
-    /// file and its bytes, which have yet to be checked.
+    /// Passes some pages of a section of pages to `take`, in the order of `pages`: the number of
+    /// each within the section, its offset in the file and its bytes, which have yet to be checked.
     ///
     /// # Errors
     /// The first error of `take`, or [`OpenError`] if there is no such page, or it cannot be read.

@@ -41,7 +41,8 @@ pub struct Metadata {
 }
 
 impl Metadata {
-    /// Sorts, deduplicates and limits the descriptions of the sources, so that their order and number do not show.
+    /// Sorts, deduplicates and limits the descriptions of the sources, so that their order and
+    /// number do not show.
     pub fn new(crs: &str, mut sources: Vec<String>) -> Self {
         sources.sort();
         sources.dedup();
@@ -80,11 +81,11 @@ impl Metadata {
     }
 }
 
-/// Writes the sections after the pages, the footer, and finally the header, without which the file does not open. Returns
-/// the header.
+/// Writes the sections after the pages, the footer, and finally the header, without which the file
+/// does not open. Returns the header.
 ///
-/// `pages` are the sections of pages (kind, number of pages, digest), which are already written one after another behind the
-/// header block. `sections` are written here.
+/// `pages` are the sections of pages (kind, number of pages, digest), which are already written one
+/// after another behind the header block. `sections` are written here.
 pub fn seal_file(
     output: &mut (impl Write + Seek),
     kind: FileKind,

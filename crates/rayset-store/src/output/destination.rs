@@ -33,8 +33,8 @@ impl Destination {
     /// Examines a path. Nothing is created or changed.
     ///
     /// # Errors
-    /// [`OutputError`] if the path names a folder, a disk or a socket, its folder is missing, or the system cannot tell what
-    /// it is.
+    /// [`OutputError`] if the path names a folder, a disk or a socket, its folder is missing, or
+    /// the system cannot tell what it is.
     pub fn new(path: impl AsRef<Path>) -> Result<Self, OutputError> {
         Self::at(path.as_ref())
     }
@@ -71,8 +71,8 @@ impl Destination {
             };
         }
         match std::fs::metadata(&target) {
-            // The file that is a process's standard output may have been unlinked. Its link in /proc can then still be
-            // opened, but the path that the link states does not exist.
+            // The file that is a process's standard output may have been unlinked. Its link in
+            // /proc can then still be opened, but the path that the link states does not exist.
             Err(e) if e.kind() == io::ErrorKind::NotFound && target != path => to(Target::Stream),
             Err(e) if e.kind() != io::ErrorKind::NotFound => Err(io(e)),
             _ => to(Target::File(target)),
@@ -85,8 +85,8 @@ impl Destination {
         &self.named
     }
 
-    /// The folder in which the file is written, after links have been followed; the one for temporary files if the destination is
-    /// far away.
+    /// The folder in which the file is written, after links have been followed; the one for
+    /// temporary files if the destination is far away.
     #[must_use]
     pub fn folder(&self) -> &Path {
         match &self.target {
@@ -116,7 +116,8 @@ impl Destination {
         })
     }
 
-    /// Refuses to replace a file that the run reads, even if it is named by another path, a symbolic link or a hard link.
+    /// Refuses to replace a file that the run reads, even if it is named by another path, a
+    /// symbolic link or a hard link.
     ///
     /// # Errors
     /// [`OutputError::IsInput`].
@@ -151,7 +152,8 @@ impl Destination {
         Ok(())
     }
 
-    /// The canonical path of the file that is written, or its address, by which outputs can be compared; `None` for a stream.
+    /// The canonical path of the file that is written, or its address, by which outputs can be
+    /// compared; `None` for a stream.
     ///
     /// # Errors
     /// The system's error, if the folder cannot be found.
@@ -185,7 +187,8 @@ pub(super) fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Follows the path itself while it is a symbolic link; links among its parent folders are left to the system.
+/// Follows the path itself while it is a symbolic link; links among its parent folders are left to
+/// the system.
 fn follow_links(path: &Path) -> io::Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..MOST_LINKS {

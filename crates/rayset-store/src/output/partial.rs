@@ -1,10 +1,12 @@
 //! Uniquely named, locked files, and the removal of those that a killed process has left behind.
 //!
-//! A file is created and locked, and its name is then checked again: a process that removes leftovers may have taken the
-//! lock first and removed the name. It holds the lock while it removes the file. So once a writer has found its file under
-//! its name, the file keeps that name until the writer releases the lock.
+//! A file is created and locked, and its name is then checked again: a process that removes
+//! leftovers may have taken the lock first and removed the name. It holds the lock while it removes
+//! the file. So once a writer has found its file under its name, the file keeps that name until the
+//! writer releases the lock.
 //!
-//! Some network file systems have no locks. There, files are written without locks and are never removed as leftovers.
+//! Some network file systems have no locks. There, files are written without locks and are never
+//! removed as leftovers.
 
 use std::ffi::OsStr;
 use std::fs::{File, OpenOptions, TryLockError};
@@ -100,7 +102,8 @@ pub fn create_unique(
     }
 }
 
-/// Locks a file that has just been created. Returns false if it has lost its name since, or is about to.
+/// Locks a file that has just been created. Returns false if it has lost its name since, or is
+/// about to.
 fn hold(file: &File, path: &Path) -> io::Result<bool> {
     match lock(file) {
         Ok(()) => has_name(file, path),
@@ -137,8 +140,8 @@ fn has_name(file: &File, path: &Path) -> io::Result<bool> {
     }
 }
 
-/// Removes from `folder` what killed processes have left of an output. Failures are ignored, because leftovers do not
-/// prevent writing.
+/// Removes from `folder` what killed processes have left of an output. Failures are ignored,
+/// because leftovers do not prevent writing.
 pub fn remove_leftovers(folder: &Path, output: &Destination) {
     for_each_partial(folder, output.file_name(), |path, _| {
         // Opening a pipe would block.
@@ -168,9 +171,9 @@ pub fn remove_partials(folder: &Path, known: impl Fn(&str) -> bool) {
 }
 
 impl Destination {
-    /// Removes the files that this process is currently writing for this destination, although they are locked: for a
-    /// process that is about to be ended by a signal. `temp_dir` is the folder of the temporary files, if they are not
-    /// beside the output.
+    /// Removes the files that this process is currently writing for this destination, although they
+    /// are locked: for a process that is about to be ended by a signal. `temp_dir` is the folder of
+    /// the temporary files, if they are not beside the output.
     pub fn remove_own_partials(&self, temp_dir: Option<&Path>) {
         if self.is_stream() {
             return;
@@ -182,7 +185,8 @@ impl Destination {
         }
         for folder in std::iter::once(self.folder()).chain(temp_dir) {
             for_each_partial(folder, self.file_name(), |path, process| {
-                // A process in another container may have the same ID: only files that are open here are removed.
+                // A process in another container may have the same ID: only files that are open
+                // here are removed.
                 if process == std::process::id() && is_open_here(path).unwrap_or(true) {
                     std::fs::remove_file(path)?;
                 }
@@ -202,7 +206,8 @@ fn is_open_here(path: &Path) -> Option<bool> {
     Some(files.any(|same| same))
 }
 
-/// Calls `visit` for every partial or temporary file of an output in `folder`, with the ID of the process that wrote it.
+/// Calls `visit` for every partial or temporary file of an output in `folder`, with the ID of the
+/// process that wrote it.
 fn for_each_partial(folder: &Path, output: &OsStr, visit: impl Fn(&Path, u32) -> io::Result<()>) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     let prefixes = Purpose::ALL.map(|purpose| purpose.prefix(output));

@@ -10,7 +10,8 @@ use super::partial::{Access, Purpose, create_unique, remove_leftovers};
 use super::{Destination, OutputError};
 use crate::storage::{address, address_of};
 
-/// An output that is being written. [`publish`](Self::publish) gives it its name; if it is dropped before, it is removed.
+/// An output that is being written. [`publish`](Self::publish) gives it its name; if it is dropped
+/// before, it is removed.
 ///
 /// A pipe or a device receives bytes as they are written.
 #[derive(Debug)]
@@ -27,14 +28,15 @@ pub struct OutputFile {
 #[derive(Debug)]
 struct Growing {
     file: File,
-    /// The first failed write. Encoders and buffers write on when they are dropped and do not report failures, so the
-    /// failure is kept here: a file to which a write has failed never gets its name.
+    /// The first failed write. Encoders and buffers write on when they are dropped and do not
+    /// report failures, so the failure is kept here: a file to which a write has failed never gets
+    /// its name.
     failure: Mutex<Option<io::Error>>,
 }
 
 impl OutputFile {
-    /// Creates a partial file beside the destination, or opens the pipe or device. Removes files of the same output that
-    /// killed processes have left behind.
+    /// Creates a partial file beside the destination, or opens the pipe or device. Removes files of
+    /// the same output that killed processes have left behind.
     ///
     /// # Errors
     /// [`OutputError::Io`].
@@ -69,7 +71,8 @@ impl OutputFile {
         &self.destination
     }
 
-    /// A writer that starts at the beginning of the file. Each writer of a file has its own position.
+    /// A writer that starts at the beginning of the file. Each writer of a file has its own
+    /// position.
     #[must_use]
     pub fn writer(&self) -> OutputWriter {
         OutputWriter { growing: self.growing.clone(), is_stream: self.destination.is_stream(), at: 0 }
@@ -78,8 +81,8 @@ impl OutputFile {
     /// Makes the file durable and gives it its name.
     ///
     /// # Errors
-    /// [`OutputError::Io`]; any existing file of that name is then unchanged, unless the only failure was to make the folder
-    /// durable.
+    /// [`OutputError::Io`]; any existing file of that name is then unchanged, unless the only
+    /// failure was to make the folder durable.
     pub fn publish(mut self) -> Result<(), OutputError> {
         self.rename(true).map_err(|source| OutputError::Io {
             action: "write",
@@ -88,8 +91,8 @@ impl OutputFile {
         })
     }
 
-    /// Gives the file its name without making it durable: for files whose readers find out if a crash of the machine has
-    /// taken some of them.
+    /// Gives the file its name without making it durable: for files whose readers find out if a
+    /// crash of the machine has taken some of them.
     #[doc(hidden)]
     pub fn publish_volatile(mut self) -> Result<(), OutputError> {
         self.rename(false).map_err(|source| OutputError::Io {
@@ -122,7 +125,8 @@ impl OutputFile {
     }
 }
 
-/// Gives a file the mode of the one that it replaces, and its owner and group where the system allows that.
+/// Gives a file the mode of the one that it replaces, and its owner and group where the system
+/// allows that.
 fn keep_access(file: &File, replaced: &Metadata) -> io::Result<()> {
     #[cfg(unix)]
     {
@@ -174,7 +178,8 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// A position in an [`OutputFile`] at which bytes are written, and read back unless it is a stream, without buffering.
+/// A position in an [`OutputFile`] at which bytes are written, and read back unless it is a stream,
+/// without buffering.
 #[derive(Debug)]
 pub struct OutputWriter {
     growing: Arc<Growing>,

@@ -1,7 +1,8 @@
-//! Addresses of objects that are far away, such as `s3://bucket/key` and `https://host/path`, wherever a path may stand.
+//! Addresses of objects that are far away, such as `s3://bucket/key` and `https://host/path`,
+//! wherever a path may stand.
 //!
-//! The library knows no protocol. A program that can reach such objects says so once, by [`open_addresses_with`]; the crate
-//! `rayset-far` does so for object stores and web servers.
+//! The library knows no protocol. A program that can reach such objects says so once, by
+//! [`open_addresses_with`]; the crate `rayset-far` does so for object stores and web servers.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -13,14 +14,15 @@ use super::transport::Storage;
 
 /// What opens addresses and writes to them.
 pub trait Addresses: Send + Sync {
-    /// Opens the object at an address. It is that object from then on: if another takes its place, reads are errors.
+    /// Opens the object at an address. It is that object from then on: if another takes its place,
+    /// reads are errors.
     ///
     /// # Errors
     /// What is wrong with the address, or why the object cannot be read, and what to do.
     fn open(&self, address: &str) -> io::Result<Arc<dyn Storage>>;
 
-    /// Refuses an address that cannot be written to, before any work is done, and removes what a run that was killed has left
-    /// behind there.
+    /// Refuses an address that cannot be written to, before any work is done, and removes what a
+    /// run that was killed has left behind there.
     ///
     /// # Errors
     /// What is wrong with the address.
@@ -35,14 +37,15 @@ pub trait Addresses: Send + Sync {
     /// Gives up what this process is putting at an address: the process is about to be ended.
     fn abandon(&self, address: &str);
 
-    /// From now on, [`open`](Self::open) looks at each object again, however lately it was looked at. For whoever trusts a look
-    /// for a while; others need do nothing.
+    /// From now on, [`open`](Self::open) looks at each object again, however lately it was looked
+    /// at. For whoever trusts a look for a while; others need do nothing.
     fn look_again(&self) {}
 }
 
 static ADDRESSES: OnceLock<Arc<dyn Addresses>> = OnceLock::new();
 
-/// Says who opens addresses in this process. Only the first call counts; returns whether this was the first.
+/// Says who opens addresses in this process. Only the first call counts; returns whether this was
+/// the first.
 pub fn open_addresses_with(addresses: Arc<dyn Addresses>) -> bool {
     ADDRESSES.set(addresses).is_ok()
 }
@@ -58,8 +61,8 @@ pub fn address_of(path: &Path) -> Option<&str> {
     (is_scheme && !rest.is_empty()).then_some(text)
 }
 
-/// A path that stands in a file of a folder: addresses and absolute paths are what they are, others are sought in the folder,
-/// which may itself be an address.
+/// A path that stands in a file of a folder: addresses and absolute paths are what they are, others
+/// are sought in the folder, which may itself be an address.
 #[must_use]
 pub fn beside(folder: &Path, path: &Path) -> PathBuf {
     if address_of(path).is_some() {
@@ -94,7 +97,8 @@ pub fn without_secrets(path: &Path) -> PathBuf {
     address_of(path).map_or_else(|| path.to_owned(), |_| PathBuf::from(shown(path)))
 }
 
-/// Opens a file or an address. With `direct`, reads of a file bypass the page cache if the system supports it.
+/// Opens a file or an address. With `direct`, reads of a file bypass the page cache if the system
+/// supports it.
 ///
 /// # Errors
 /// The system's error, or that of whoever opens addresses.
@@ -105,8 +109,9 @@ pub fn open(path: &Path, direct: bool) -> io::Result<Arc<dyn Storage>> {
     }
 }
 
-/// Begins something new, which sees the objects that are at their addresses now: each is looked at when it is opened next, and not
-/// taken to be what it was a moment ago. What is open stays what it is.
+/// Begins something new, which sees the objects that are at their addresses now: each is looked at
+/// when it is opened next, and not taken to be what it was a moment ago. What is open stays what it
+/// is.
 pub fn look_again() {
     if let Some(addresses) = ADDRESSES.get() {
         addresses.look_again();

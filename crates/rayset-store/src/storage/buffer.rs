@@ -3,11 +3,12 @@
 use bytemuck::{Pod, Zeroable};
 use memmap2::MmapMut;
 
-/// Alignment of memory that direct I/O requires: a logical sector. Offsets and lengths of pages are multiples of 4096
-/// by the file format.
+/// Alignment of memory that direct I/O requires: a logical sector. Offsets and lengths of pages are
+/// multiples of 4096 by the file format.
 const ALIGNMENT: usize = 512;
 
-/// Bytes that a page may take besides its own: tables of the operating system and lists of free memory.
+/// Bytes that a page may take besides its own: tables of the operating system and lists of free
+/// memory.
 pub const OVERHEAD_BYTES: u64 = 256;
 
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -16,8 +17,9 @@ struct Block([u8; ALIGNMENT]);
 
 /// The memory of one page, aligned to 512 bytes.
 ///
-/// It is mapped by itself, not taken from the allocator's heap. There, pages of different sizes that take each other's
-/// place would leave gaps, small allocations would settle in them, and the process would outgrow its budget.
+/// It is mapped by itself, not taken from the allocator's heap. There, pages of different sizes
+/// that take each other's place would leave gaps, small allocations would settle in them, and the
+/// process would outgrow its budget.
 pub struct PageBuffer(Memory);
 
 enum Memory {

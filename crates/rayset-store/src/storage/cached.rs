@@ -3,8 +3,8 @@
 use std::fs::File;
 use std::io;
 
-/// Fills `buffer` from a file if the page cache has all of it, without waiting for the disk; returns whether it did. `false` also for
-/// files that bypass the page cache.
+/// Fills `buffer` from a file if the page cache has all of it, without waiting for the disk;
+/// returns whether it did. `false` also for files that bypass the page cache.
 #[cfg(target_os = "linux")]
 pub(super) fn read_if_cached(file: &File, buffer: &mut [u8], offset: u64) -> bool {
     use rustix::io::{ReadWriteFlags, preadv2};

@@ -13,7 +13,8 @@ struct Queue {
     closed: bool,
 }
 
-/// Adds a latency to another backend, like distant storage; any number of reads wait at the same time.
+/// Adds a latency to another backend, like distant storage; any number of reads wait at the same
+/// time.
 pub struct Delayed {
     inner: Arc<dyn Transport>,
     delay: Duration,

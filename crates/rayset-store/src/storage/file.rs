@@ -13,7 +13,8 @@ pub struct FileStorage {
 }
 
 impl FileStorage {
-    /// Opens a file. With `direct`, reads bypass the page cache if the system and the file system support it.
+    /// Opens a file. With `direct`, reads bypass the page cache if the system and the file system
+    /// support it.
     ///
     /// # Errors
     /// The system's error.

@@ -1,7 +1,9 @@
-//! Inputs that are read from start to end, or here and there: a file on disk, a pipe, or an object that is far away.
+//! Inputs that are read from start to end, or here and there: a file on disk, a pipe, or an object
+//! that is far away.
 //!
-//! Far objects are read ahead: the longer a reader goes on without a jump, the more is asked for at a time, in many requests
-//! at once, so that what it reads costs the rate of the connection and not a round trip for every buffer.
+//! Far objects are read ahead: the longer a reader goes on without a jump, the more is asked for at
+//! a time, in many requests at once, so that what it reads costs the rate of the connection and not
+//! a round trip for every buffer.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -143,7 +145,8 @@ impl Seek for InputFile {
     }
 }
 
-/// An input that several readers read, each anywhere. Copies share the file, and read ahead of their own reader alone.
+/// An input that several readers read, each anywhere. Copies share the file, and read ahead of
+/// their own reader alone.
 #[derive(Clone, Debug)]
 pub enum Shared {
     /// A regular file.
@@ -221,7 +224,8 @@ impl Storage for InOrder {
     }
 }
 
-/// Bytes of a storage that are read ahead of whoever reads them. Copies share the storage, and nothing else.
+/// Bytes of a storage that are read ahead of whoever reads them. Copies share the storage, and
+/// nothing else.
 pub struct Ahead {
     storage: Arc<dyn Storage>,
     length: u64,
@@ -259,7 +263,8 @@ impl Ahead {
         let bytes = if goes_on { self.next_bytes } else { LEAST_WINDOW };
         let bytes = bytes.max(wanted.min(MOST_WINDOW));
         self.next_bytes = (2 * bytes).min(MOST_WINDOW);
-        // Whoever jumps to the end of a file soon reads what is before it: what lies where is often said last.
+        // Whoever jumps to the end of a file soon reads what is before it: what lies where is often
+        // said last.
         let window = self.length.saturating_sub(LEAST_WINDOW as u64);
         let start = if goes_on || end < self.length { at } else { at.min(window) };
         let bytes = bytes.min(usize::try_from(end - start).unwrap_or(usize::MAX));

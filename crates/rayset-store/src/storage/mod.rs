@@ -1,8 +1,9 @@
-//! Sources of the bytes of cloud and grid files, and how they are read: a file on disk, bytes in memory, an object that is far
-//! away, or a user's implementation.
+//! Sources of the bytes of cloud and grid files, and how they are read: a file on disk, bytes in
+//! memory, an object that is far away, or a user's implementation.
 //!
-//! Local files share one [`Transport`](transport::Transport), whatever their number: a ring of io_uring, or a pool of threads. An object that is far
-//! away brings its own ([`FarStorage`]). None of this can change a picture.
+//! Local files share one [`Transport`](transport::Transport), whatever their number: a ring of
+//! io_uring, or a pool of threads. An object that is far away brings its own ([`FarStorage`]). None
+//! of this can change a picture.
 
 pub mod address;
 mod buffer;

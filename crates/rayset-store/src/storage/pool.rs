@@ -1,5 +1,5 @@
-//! A pool of threads with positional reads: works everywhere, and keeps a disk as busy as any other way at these page
-//! sizes.
+//! A pool of threads with positional reads: works everywhere, and keeps a disk as busy as any other
+//! way at these page sizes.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};

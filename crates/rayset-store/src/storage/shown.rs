@@ -1,8 +1,9 @@
 //! Paths and texts as people may see them: without what an address grants access with.
 //!
-//! The secrets of an address are its user and password, its query and its fragment: signatures and tokens stand there. All that
-//! leaves a process passes one of these functions: messages, reports, names of files, what is written into outputs. What has
-//! to open an object again, such as a scene, keeps the whole address.
+//! The secrets of an address are its user and password, its query and its fragment: signatures and
+//! tokens stand there. All that leaves a process passes one of these functions: messages, reports,
+//! names of files, what is written into outputs. What has to open an object again, such as a scene,
+//! keeps the whole address.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -14,8 +15,8 @@ pub fn shown(path: &Path) -> String {
     without_secrets(&text, Extent::Whole).unwrap_or_else(|| text.into_owned())
 }
 
-/// A text with every address in it without its secrets. Each address ends at white space, at a double or backward quotation mark, or
-/// at an angle bracket.
+/// A text with every address in it without its secrets. Each address ends at white space, at a
+/// double or backward quotation mark, or at an angle bracket.
 #[must_use]
 pub fn redacted(text: &str) -> Cow<'_, str> {
     without_secrets(text, Extent::Word).map_or(Cow::Borrowed(text), Cow::Owned)
@@ -98,14 +99,16 @@ fn ends(text: &str, extent: Extent) -> (usize, usize) {
     (text[..end].find(['/', '\\', '?', '#']).unwrap_or(end), end)
 }
 
-/// User and password of an address. A password may have letters in it that end hosts, and then an address can be read in two ways:
-/// `u:1/x@host/a` has a password, or is the file `x@host/a` of the host `u`. What is secret in either way is not shown.
+/// User and password of an address. A password may have letters in it that end hosts, and then an
+/// address can be read in two ways: `u:1/x@host/a` has a password, or is the file `x@host/a` of the
+/// host `u`. What is secret in either way is not shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum User {
     None,
     /// They stand before the `@` at this place.
     Before(usize),
-    /// They may reach up to the last `@`, at this place; what is behind it may be of a query, which is secret, too.
+    /// They may reach up to the last `@`, at this place; what is behind it may be of a query, which
+    /// is secret, too.
     Unclear {
         at: usize,
         is_query: bool,
@@ -149,7 +152,8 @@ impl User {
     }
 }
 
-/// Whether a host with a port is one, and no user with a password of digits; `behind` is what follows the last `@`.
+/// Whether a host with a port is one, and no user with a password of digits; `behind` is what
+/// follows the last `@`.
 fn is_surely_host(text: &str, behind: &str) -> bool {
     let (name, port) = text.rsplit_once(':').unwrap_or((text, ""));
     let is_address = name.ends_with(']') || name.parse::<std::net::Ipv4Addr>().is_ok();
@@ -175,7 +179,8 @@ struct Start {
 }
 
 impl Start {
-    /// The first address of a text. One slash does for a web server: paths that are tidied have one.
+    /// The first address of a text. One slash does for a web server: paths that are tidied have
+    /// one.
     fn find(text: &str) -> Option<Self> {
         text.match_indices(":/").find_map(|(colon, _)| {
             let of_scheme = |c: char| c.is_ascii_alphanumeric() || matches!(c, '+' | '-' | '.');

@@ -1,6 +1,7 @@
 //! What to read from ([`Storage`]), and how ([`Transport`]).
 //!
-//! A transport takes batches and completes each read on any thread. None of this can change a picture.
+//! A transport takes batches and completes each read on any thread. None of this can change a
+//! picture.
 
 use std::fs::File;
 use std::io;
@@ -11,7 +12,8 @@ use std::time::Duration;
 use super::buffer::PageBuffer;
 use super::cached::read_if_cached;
 
-/// Bytes that can be read at a position, by several threads at once: a file, bytes in memory, an object store.
+/// Bytes that can be read at a position, by several threads at once: a file, bytes in memory, an
+/// object store.
 pub trait Storage: Send + Sync {
     /// The number of bytes.
     ///
@@ -30,20 +32,20 @@ pub trait Storage: Send + Sync {
         None
     }
 
-    /// All of its bytes, if they are already in memory: pages are then used in place, without a copy, and do not count
-    /// towards any budget.
+    /// All of its bytes, if they are already in memory: pages are then used in place, without a
+    /// copy, and do not count towards any budget.
     fn memory(&self) -> Option<Arc<dyn AsRef<[u8]> + Send + Sync>> {
         None
     }
 
-    /// What tells it from another object that had or will have the same name, such as the entity tag of an object store. `None` for
-    /// what cannot be replaced while it is open.
+    /// What tells it from another object that had or will have the same name, such as the entity
+    /// tag of an object store. `None` for what cannot be replaced while it is open.
     fn version(&self) -> Option<String> {
         None
     }
 
-    /// Its own way of carrying out many reads at once. `None` if it has none: its reads are then carried out, one after another
-    /// or by several threads, as those of local files are.
+    /// Its own way of carrying out many reads at once. `None` if it has none: its reads are then
+    /// carried out, one after another or by several threads, as those of local files are.
     #[doc(hidden)]
     fn transport(&self) -> Option<Arc<dyn Transport>> {
         None
@@ -111,8 +113,8 @@ impl Read {
 pub trait Transport: Send + Sync {
     /// Starts a batch of reads, most urgent first, and returns without waiting for them.
     fn submit(&self, batch: Vec<Read>);
-    /// Starts a read for which the caller will wait. What the page cache has may be read on the calling thread, which saves
-    /// waking two threads.
+    /// Starts a read for which the caller will wait. What the page cache has may be read on the
+    /// calling thread, which saves waking two threads.
     fn submit_awaited(&self, read: Read) {
         self.submit(vec![read]);
     }
@@ -122,11 +124,13 @@ pub trait Transport: Send + Sync {
     fn latency(&self) -> Option<Duration> {
         None
     }
-    /// Whether requests take so long that many of them should be in flight, long before rays need what they bring.
+    /// Whether requests take so long that many of them should be in flight, long before rays need
+    /// what they bring.
     fn is_far(&self) -> bool {
         false
     }
-    /// Memory that requests take at most besides the buffers that they fill, those of all transports together that share a limit.
+    /// Memory that requests take at most besides the buffers that they fill, those of all
+    /// transports together that share a limit.
     fn memory_bytes(&self) -> u64 {
         0
     }

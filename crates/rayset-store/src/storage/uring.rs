@@ -110,8 +110,9 @@ impl Driver {
         }
         let bell = types::Fd(self.shared.bell.as_raw_fd());
         let entry = opcode::PollAdd::new(bell, POLLIN).build().user_data(BELL);
-        // SAFETY: the entry refers to no memory, and to a file that `shared` keeps open as long as the ring lives. The
-        // queue has room for one entry besides those of `flight`, and no second wait is ever in it.
+        // SAFETY: the entry refers to no memory, and to a file that `shared` keeps open as long as
+        // the ring lives. The queue has room for one entry besides those of `flight`, and no second
+        // wait is ever in it.
         self.listening = unsafe { self.ring.submission().push(&entry) }.is_ok();
     }
 
@@ -137,24 +138,26 @@ impl Driver {
         // The buffer's memory is on the heap, so moving `read` does not move it.
         self.flight[place] = Some(read);
         self.flying += 1;
-        // SAFETY: the entry points into the buffer and names the file of `self.flight[place]`, both of which stay
-        // alive and untouched until the completion of this very request is reaped: `flight[place]` is cleared only
-        // in `finish`, and dropping the `Driver`, also when unwinding, first waits until nothing is flying. The queue has
-        // room for `flight.len()` entries besides the wait for the bell, and no more are ever unsubmitted.
+        // SAFETY: the entry points into the buffer and names the file of `self.flight[place]`, both
+        // of which stay alive and untouched until the completion of this very request is reaped:
+        // `flight[place]` is cleared only in `finish`, and dropping the `Driver`, also when
+        // unwinding, first waits until nothing is flying. The queue has room for `flight.len()`
+        // entries besides the wait for the bell, and no more are ever unsubmitted.
         let pushed = unsafe { self.ring.submission().push(&entry) };
         if pushed.is_err() {
             self.fall_back(place);
         }
     }
 
-    /// Submits what is queued, waits for at least one completion, and handles all completions there are.
+    /// Submits what is queued, waits for at least one completion, and handles all completions there
+    /// are.
     fn reap(&mut self) {
         loop {
             match self.ring.submit_and_wait(1) {
                 Ok(_) => break,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                // The kernel has accepted nothing or is short of memory for the moment; handling completions frees
-                // some.
+                // The kernel has accepted nothing or is short of memory for the moment; handling
+                // completions frees some.
                 Err(_) if !self.ring.completion().is_empty() => break,
                 Err(_) => std::thread::yield_now(),
             }

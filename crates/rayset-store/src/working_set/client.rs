@@ -1,5 +1,6 @@
-//! One user of a working set, such as a render: it retains pages, hints those that it will need, retires those that it
-//! will not, and has its share of the budget. Its hints and retirements affect only its own pages.
+//! One user of a working set, such as a render: it retains pages, hints those that it will need,
+//! retires those that it will not, and has its share of the budget. Its hints and retirements
+//! affect only its own pages.
 
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -14,8 +15,8 @@ use rayset_base::cancel::CancelToken;
 use rayset_base::sync::atomic::Ordering;
 use rayset_base::sync::lock;
 
-/// A user of a working set. Dropping it withdraws its hints: hinted pages that nobody has requested are evicted first,
-/// including those that are still loading.
+/// A user of a working set. Dropping it withdraws its hints: hinted pages that nobody has requested
+/// are evicted first, including those that are still loading.
 pub struct PageClient {
     pub(super) shared: Arc<Shared>,
     pub(super) own: Arc<Own>,
@@ -33,8 +34,8 @@ impl PageClient {
         Self { own: Own::new(shared.clone()), shared, number, cancel, hints, is_part: false }
     }
 
-    /// The same client, for the use of one of its threads: it has the same hints and the same share of the budget, but shares no
-    /// counters with other threads.
+    /// The same client, for the use of one of its threads: it has the same hints and the same share
+    /// of the budget, but shares no counters with other threads.
     #[must_use]
     pub fn for_thread(&self) -> Self {
         Self {
@@ -60,7 +61,8 @@ impl PageClient {
         self.shared.pool.limits().all_kinds() / clients as u64
     }
 
-    /// Bytes of pages that were read for hints, or are being read for them, and have not been requested yet.
+    /// Bytes of pages that were read for hints, or are being read for them, and have not been
+    /// requested yet.
     #[must_use]
     pub fn hinted_bytes(&self) -> u64 {
         self.hints.unused_bytes.load(Ordering::Relaxed)
@@ -86,8 +88,8 @@ impl PageClient {
         reuse.end_round();
     }
 
-    /// Says that the slab that begins with a sample of its rays is about to use one of the pages that it goes through in turn.
-    /// Nothing is noted as long as no page has ever been evicted.
+    /// Says that the slab that begins with a sample of its rays is about to use one of the pages
+    /// that it goes through in turn. Nothing is noted as long as no page has ever been evicted.
     pub fn come_to(&self, sample: u64, reuse: &mut Reuse) {
         if self.shared.pool.evicts() {
             reuse.come_to(sample, self.own.now());
@@ -109,16 +111,18 @@ impl PageClient {
         }
     }
 
-    /// Hints pages that will be needed soon. Absent pages are read in one batch, as long as there is room without
-    /// evicting a retained page, and as long as pages that were read for this client's hints and not yet requested take
-    /// no more than `most_bytes`. Resident pages count as used now. Until they are requested, all of them can be
-    /// evicted like released pages: if they stayed longer than what is used meanwhile, wrong hints would fill a small
-    /// budget. Returns how many of `pages`, from the first, were handled.
+    /// Hints pages that will be needed soon. Absent pages are read in one batch, as long as there
+    /// is room without evicting a retained page, and as long as pages that were read for this
+    /// client's hints and not yet requested take no more than `most_bytes`. Resident pages count as
+    /// used now. Until they are requested, all of them can be evicted like released pages: if they
+    /// stayed longer than what is used meanwhile, wrong hints would fill a small budget. Returns
+    /// how many of `pages`, from the first, were handled.
     pub fn hint(&self, object: &Arc<Object>, pages: &[u32], most_bytes: u64) -> usize {
         self.hint_knowing(object, pages, most_bytes, None)
     }
 
-    /// Hints pages as [`hint`](Self::hint) does; room is made by evicting what `reuse` says is needed last.
+    /// Hints pages as [`hint`](Self::hint) does; room is made by evicting what `reuse` says is
+    /// needed last.
     pub fn hint_knowing(
         &self,
         object: &Arc<Object>,
@@ -129,14 +133,14 @@ impl PageClient {
         self.hint_all(object, pages, most_bytes, reuse, false)
     }
 
-    /// Hints pages that are to stay until they are [let go](Self::let_go), however much else is used meanwhile: as long as there
-    /// are others, these are not evicted.
+    /// Hints pages that are to stay until they are [let go](Self::let_go), however much else is
+    /// used meanwhile: as long as there are others, these are not evicted.
     pub fn hint_to_stay(&self, object: &Arc<Object>, pages: &[u32], reuse: &RefCell<Reuse>) -> usize {
         self.hint_all(object, pages, u64::MAX, Some(reuse), true)
     }
 
-    /// Waits until pages that are being read are there, as `ready` tells; not for ever, if none are, and not when the client is
-    /// cancelled.
+    /// Waits until pages that are being read are there, as `ready` tells; not for ever, if none
+    /// are, and not when the client is cancelled.
     pub fn wait_until(&self, ready: impl Fn() -> bool) {
         let shared = self.shared.clone();
         let _woken = self.cancel.register(Arc::new(move || shared.pool.notify()));
@@ -144,8 +148,8 @@ impl PageClient {
         let _ = self.shared.pool.wait_until(&self.cancel, || ready().then_some(()));
     }
 
-    /// Lets a page go that was hinted at [to stay](Self::hint_to_stay). Returns whether it is still being read: then it is to be
-    /// let go once more.
+    /// Lets a page go that was hinted at [to stay](Self::hint_to_stay). Returns whether it is still
+    /// being read: then it is to be let go once more.
     pub fn let_go(&self, object: &Arc<Object>, page: u32) -> bool {
         if object.is_in_place() {
             return false;
@@ -218,8 +222,9 @@ impl PageClient {
         dealt_with
     }
 
-    /// Keeps a hinted page that is resident already, like those that are read for a hint. Returns whether the hint was
-    /// recorded: not if the page is retained or has been hinted before. The caller holds the lock of its slot.
+    /// Keeps a hinted page that is resident already, like those that are read for a hint. Returns
+    /// whether the hint was recorded: not if the page is retained or has been hinted before. The
+    /// caller holds the lock of its slot.
     fn mark(&self, resident: &Arc<Resident>) -> bool {
         resident.last_use.store(self.own.time_of_use(), Ordering::Relaxed);
         if Arc::strong_count(resident) > 1 {
@@ -233,8 +238,8 @@ impl PageClient {
         fresh
     }
 
-    /// Retires pages that this client is unlikely to need again: they are evicted first. Pages that are absent,
-    /// retained, or last used by another client are left as they are.
+    /// Retires pages that this client is unlikely to need again: they are evicted first. Pages that
+    /// are absent, retained, or last used by another client are left as they are.
     pub fn retire(&self, object: &Arc<Object>, pages: &[u32]) {
         let mine = |resident: &Resident| {
             let user = resident.hint_mark().client().unwrap_or(resident.user.load(Ordering::Relaxed));
@@ -243,8 +248,8 @@ impl PageClient {
         self.shared.retire_if(object, pages, mine);
     }
 
-    /// Withdraws hints that have turned out wrong: those of `pages` that this client hinted and nobody has requested
-    /// since are retired.
+    /// Withdraws hints that have turned out wrong: those of `pages` that this client hinted and
+    /// nobody has requested since are retired.
     pub fn retire_unused(&self, object: &Arc<Object>, pages: &[u32]) {
         self.shared.retire_if(object, pages, |resident| resident.hint_mark().client() == Some(self.number));
     }

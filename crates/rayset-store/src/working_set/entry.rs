@@ -27,7 +27,8 @@ pub(super) enum Outcome {
 }
 
 impl Entry {
-    /// Evicts the page unless it is retained or, with `only_unused`, has been used since it was entered.
+    /// Evicts the page unless it is retained or, with `only_unused`, has been used since it was
+    /// entered.
     pub(super) fn evict(&self, only_unused: bool) -> Outcome {
         let mut slot = self.object.slot(self.page);
         let Slot::Resident(resident) = &*slot else { return Outcome::Stale };
@@ -53,8 +54,8 @@ impl Entry {
         }
     }
 
-    /// When the page was last used, or later than any use if it is kept, and whether it is retained; `None` if the entry belongs
-    /// to an earlier stay in memory.
+    /// When the page was last used, or later than any use if it is kept, and whether it is
+    /// retained; `None` if the entry belongs to an earlier stay in memory.
     pub(super) fn last_use_if_current(&self) -> Option<(u64, bool)> {
         match &*self.object.slot(self.page) {
             Slot::Resident(resident) if resident.serial == self.serial => {

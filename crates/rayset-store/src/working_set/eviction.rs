@@ -1,11 +1,13 @@
-//! Which page is evicted: retired pages first, then the least recently used, unless the thread that asks knows which pages are
-//! needed last ([`Reuse`]).
+//! Which page is evicted: retired pages first, then the least recently used, unless the thread that
+//! asks knows which pages are needed last ([`Reuse`]).
 //!
-//! Every page in memory has an entry in the queue of its kind, with the time of its last use when it was entered. A use
-//! does not touch the queue: it only makes the page younger than its entry says. An eviction takes the front of the
-//! queue; a page that turns out to be younger goes to the end, and so gets a second chance. Each use pays for at most
-//! one such return, so that an eviction takes the same few steps whatever the number of pages, and passes over no more
-//! than [`MOST_LOOKED_AT`] younger pages. If there are only [`FEW`] pages, all of them are searched for the oldest.
+//! Every page in memory has an entry in the queue of its kind, with the time of its last use when
+//! it was entered. A use does not touch the queue: it only makes the page younger than its entry
+//! says. An eviction takes the front of the queue; a page that turns out to be younger goes to the
+//! end, and so gets a second chance. Each use pays for at most one such return, so that an eviction
+//! takes the same few steps whatever the number of pages, and passes over no more than
+//! [`MOST_LOOKED_AT`] younger pages. If there are only [`FEW`] pages, all of them are searched for
+//! the oldest.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -18,8 +20,8 @@ use super::source::{KINDS, Kind};
 use crate::storage::PageBuffer;
 use rayset_base::sync::atomic::Ordering;
 
-/// After this many pages that are younger than their entries, an eviction takes the oldest of them instead of searching
-/// on.
+/// After this many pages that are younger than their entries, an eviction takes the oldest of them
+/// instead of searching on.
 const MOST_LOOKED_AT: usize = 64;
 /// With at most this many pages, an eviction searches all of them.
 const FEW: usize = 128;
@@ -71,7 +73,8 @@ impl EvictionQueue {
     /// Enters a page that is about to become resident.
     pub(super) fn insert(&mut self, object: &Arc<Object>, page: u32, resident: &Resident) {
         let queue = &mut self.queues[object.kind(page).index()];
-        // Before the page is entered: its slot is not resident yet, so that its entry would count as stale.
+        // Before the page is entered: its slot is not resident yet, so that its entry would count
+        // as stale.
         queue.drop_stale();
         let (last_use, serial) = (resident.last_use.load(Ordering::Relaxed), resident.serial);
         let entry = Entry { last_use, serial, page, object: object.clone() };
@@ -89,8 +92,8 @@ impl EvictionQueue {
         queue.drop_stale();
     }
 
-    /// Evicts one page of the kinds that `obstacle` names; `None` if all of them are retained. `reuse` is what the thread
-    /// that needs the room knows, if it knows anything.
+    /// Evicts one page of the kinds that `obstacle` names; `None` if all of them are retained.
+    /// `reuse` is what the thread that needs the room knows, if it knows anything.
     pub(super) fn evict(
         &mut self,
         obstacle: Obstacle,
@@ -178,8 +181,8 @@ impl EvictionQueue {
         }
     }
 
-    /// Takes the first page, from the front of the queues, that has not been used since it was entered, and was last used
-    /// before a time.
+    /// Takes the first page, from the front of the queues, that has not been used since it was
+    /// entered, and was last used before a time.
     fn take_in_turn(
         &mut self,
         obstacle: Obstacle,

@@ -11,7 +11,8 @@ use rayset_base::sync::atomic::{Ordering, fence};
 pub struct PageGuard(Held);
 
 enum Held {
-    // Fields are dropped in this order: threads that wait for room are notified when the page is free.
+    // Fields are dropped in this order: threads that wait for room are notified when the page is
+    // free.
     Resident(Arc<Resident>, #[expect(dead_code, reason = "it acts when it is dropped")] Release),
     InPlace(PageInPlace),
 }
@@ -55,7 +56,8 @@ impl Deref for PageGuard {
 
 impl Drop for Release {
     fn drop(&mut self) {
-        // Either this thread sees the waiting one, or that one sees that the page is free: see `PagePool::reserve`.
+        // Either this thread sees the waiting one, or that one sees that the page is free: see
+        // `PagePool::reserve`.
         fence(Ordering::SeqCst);
         self.0.shared.pool.released();
     }

@@ -69,7 +69,8 @@ impl Hints {
 impl Clients {
     /// Registers a new client; returns its number.
     pub(super) fn enter(&mut self, hints: &Arc<Hints>) -> u32 {
-        // Client numbers have 31 bits: the last bit of a word tells hints that were read from others.
+        // Client numbers have 31 bits: the last bit of a word tells hints that were read from
+        // others.
         self.last = self.last % (u32::MAX >> 1) + 1;
         self.hints.insert(self.last, hints.clone());
         self.last

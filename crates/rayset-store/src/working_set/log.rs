@@ -1,5 +1,5 @@
-//! A log of requests for pages, for this project's own measurements: reads of a render are compared with those of rules of
-//! eviction that know the future.
+//! A log of requests for pages, for this project's own measurements: reads of a render are compared
+//! with those of rules of eviction that know the future.
 
 use std::collections::{BTreeSet, HashMap};
 use std::hash::Hash;
@@ -54,8 +54,8 @@ impl RequestLog {
     }
 }
 
-/// The fewest pages that any rule of eviction can read for some requests, if `fit` of them fit: Belady's rule evicts the page
-/// whose next use is the farthest.
+/// The fewest pages that any rule of eviction can read for some requests, if `fit` of them fit:
+/// Belady's rule evicts the page whose next use is the farthest.
 #[must_use]
 pub fn least_reads<P: Copy + Ord + Hash>(requests: &[P], fit: usize) -> u64 {
     let mut next_use = vec![usize::MAX; requests.len()];
@@ -89,7 +89,8 @@ mod tests {
     #[test]
     fn beladys_rule_keeps_all_but_one_of_the_pages_that_fit_from_scan_to_scan() {
         let scans: Vec<u32> = (0..10).flat_map(|_| 0..20).collect();
-        // The first scan reads all pages; of each of the others, the 20 - 8 pages that do not fit and none or one that gave way.
+        // The first scan reads all pages; of each of the others, the 20 - 8 pages that do not fit
+        // and none or one that gave way.
         let reads = least_reads(&scans, 8);
         assert!((20 + 9 * 12..=20 + 9 * 13).contains(&reads), "{reads} reads");
         assert_eq!(least_reads(&scans, 20), 20);

@@ -1,19 +1,22 @@
 //! Pages in memory, within a hard budget.
 //!
-//! A [`WorkingSet`] loads pages of any number of objects, for any number of threads and [clients](PageClient). A page
-//! is *absent*, *loading* or *resident*; a resident page is *retained* by guards, or merely kept until its room is
-//! needed. Room is made by evicting retired pages first, then the least recently used, unless the thread that asks
-//! knows that another is needed later ([`Reuse`]); retained pages stay, and a release never evicts.
+//! A [`WorkingSet`] loads pages of any number of objects, for any number of threads and
+//! [clients](PageClient). A page is *absent*, *loading* or *resident*; a resident page is
+//! *retained* by guards, or merely kept until its room is needed. Room is made by evicting retired
+//! pages first, then the least recently used, unless the thread that asks knows that another is
+//! needed later ([`Reuse`]); retained pages stay, and a release never evicts.
 //!
 //! Invariants, for any interleaving of threads:
-//! 1. The bytes of all pages, loading ones included, never exceed the budget, nor those of a kind the budget of that
-//!    kind.
-//! 2. A page is never read by two reads at the same time, however many threads request it, and is checked before use.
-//! 3. A lookup of a resident page takes one lock, that of its own slot, which is never held across a read, a wait or a
-//!    search.
+//! 1. The bytes of all pages, loading ones included, never exceed the budget, nor those of a kind
+//!    the budget of that kind.
+//! 2. A page is never read by two reads at the same time, however many threads request it, and is
+//!    checked before use.
+//! 3. A lookup of a resident page takes one lock, that of its own slot, which is never held across
+//!    a read, a wait or a search.
 //!
-//! `request` brings a page into memory, `eviction` and `reuse` choose the page to evict, `pool` defines the locks and their order;
-//! `object` has the states of pages, `guard` what retains them, `client` and `hints` who requests them.
+//! `request` brings a page into memory, `eviction` and `reuse` choose the page to evict, `pool`
+//! defines the locks and their order; `object` has the states of pages, `guard` what retains them,
+//! `client` and `hints` who requests them.
 
 mod budget;
 mod client;
@@ -57,8 +60,8 @@ use rayset_base::cancel::CancelToken;
 use rayset_base::sync::atomic::Ordering;
 use rayset_base::sync::lock;
 
-/// How long a thread waits for room, or for a page, while no page is loading: long enough for any release to happen,
-/// short enough not to hang forever.
+/// How long a thread waits for room, or for a page, while no page is loading: long enough for any
+/// release to happen, short enough not to hang forever.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Pages in memory, shared by threads. Cheap to clone.
@@ -84,8 +87,9 @@ impl WorkingSet {
         PageClient::new(self.shared.clone(), cancel.clone())
     }
 
-    /// Adds an object, none of whose pages is resident. Pages of one object are cached once, whoever uses it. If its
-    /// storage is in memory, its pages are used in place and do not count towards any budget.
+    /// Adds an object, none of whose pages is resident. Pages of one object are cached once,
+    /// whoever uses it. If its storage is in memory, its pages are used in place and do not count
+    /// towards any budget.
     #[must_use]
     pub fn add(&self, source: Arc<dyn PageSource>) -> Arc<Object> {
         Arc::new(Object::new(source, self.shared.lock_waits.clone()))
@@ -103,14 +107,15 @@ impl WorkingSet {
         self.shared.pool.limits().all_kinds()
     }
 
-    /// Changes the budget, also while other threads use the set; evicts what no longer fits and is not retained.
+    /// Changes the budget, also while other threads use the set; evicts what no longer fits and is
+    /// not retained.
     pub fn set_limits(&self, limits: Limits) {
         let evicted = self.shared.pool.set_limits(limits);
         self.shared.count_evictions(&evicted);
     }
 
-    /// Evicts all pages of an object that are not retained, because it will not be used again. Takes time proportional
-    /// to the number of pages in memory.
+    /// Evicts all pages of an object that are not retained, because it will not be used again.
+    /// Takes time proportional to the number of pages in memory.
     pub fn forget(&self, object: &Object) {
         let evicted = self.shared.pool.evict_object(object);
         self.shared.count_evictions(&evicted);

@@ -1,8 +1,10 @@
-//! Models of the page pool: every test runs a few threads under a scheduler that tries one order of their steps after
-//! another (`shuttle`), and fails if any order breaks a promise or leaves all threads waiting.
+//! Models of the page pool: every test runs a few threads under a scheduler that tries one order of
+//! their steps after another (`shuttle`), and fails if any order breaks a promise or leaves all
+//! threads waiting.
 //!
-//! `cargo test -p rayset --features model --lib models`. There is no time in a model: a wait only ends by a
-//! notification, so that a lost notification shows as a deadlock. A patience of zero stands for one that has run out.
+//! `cargo test -p rayset --features model --lib models`. There is no time in a model: a wait only
+//! ends by a notification, so that a lost notification shows as a deadlock. A patience of zero
+//! stands for one that has run out.
 
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -22,7 +24,8 @@ const ORDERS: usize = 4000;
 const RUN_OUT: Duration = Duration::ZERO;
 const ENDLESS: Duration = Duration::from_secs(3600);
 
-/// Pages that hold their own number. One cannot be read, one is damaged, and the check of one panics.
+/// Pages that hold their own number. One cannot be read, one is damaged, and the check of one
+/// panics.
 struct Numbers {
     /// Number of reads in flight, page by page.
     in_flight: Vec<AtomicUsize>,
@@ -148,8 +151,8 @@ fn look(client: &PageClient, object: &Arc<Object>, page: u32) {
     assert!(guard.iter().all(|&b| b == page as u8), "evicted while it was retained");
 }
 
-/// Checks that nothing is left behind: nothing is retained, every page can be retained again, and the whole budget can
-/// be released.
+/// Checks that nothing is left behind: nothing is retained, every page can be retained again, and
+/// the whole budget can be released.
 fn check_end(set: &WorkingSet, object: &Arc<Object>) {
     assert_eq!(set.retained_bytes(), 0);
     assert!(set.statistics().peak_bytes <= set.budget_bytes());
@@ -385,7 +388,8 @@ fn hints_retirements_and_forgetting_leave_every_count_at_zero() {
         .map(thread::spawn)
         .into();
         threads.into_iter().for_each(|thread| thread.join().expect("no panic"));
-        // As many hints as before are accepted again, once those that are still being read are resident.
+        // As many hints as before are accepted again, once those that are still being read are
+        // resident.
         let client = set.client(&CancelToken::new());
         [0, 1, 2, 3].into_iter().for_each(|page| look(&client, &object, page));
         set.clear();

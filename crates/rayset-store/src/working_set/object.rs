@@ -21,8 +21,8 @@ use crate::storage::transport::Transport;
 use rayset_base::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use rayset_base::sync::{Mutex, MutexGuard, lock_counting};
 
-/// A page in memory. It is retained as long as anything but its slot refers to it; references are only added under the
-/// lock of the slot.
+/// A page in memory. It is retained as long as anything but its slot refers to it; references are
+/// only added under the lock of the slot.
 pub(super) struct Resident {
     pub(super) buffer: PageBuffer,
     /// Identifies this stay in memory, so that entries of an earlier stay can be told apart.
@@ -34,7 +34,8 @@ pub(super) struct Resident {
     pub(super) retired: AtomicBool,
     /// Rays that have been looked ahead at will come to it: evicted after all that are not kept.
     pub(super) kept: AtomicBool,
-    /// Why it was loaded, or hinted at when it was there already, as long as nobody has been handed the page since: see [`HintMark`].
+    /// Why it was loaded, or hinted at when it was there already, as long as nobody has been handed
+    /// the page since: see [`HintMark`].
     pub(super) hint: AtomicU32,
 }
 
@@ -46,8 +47,8 @@ pub(super) enum HintMark {
     Kept(u32),
     /// Read for a hint of this client.
     Read(u32),
-    /// Read for a request that has not been served yet. Serving it is no second use: the page is as old as its entry in
-    /// the eviction queue says.
+    /// Read for a request that has not been served yet. Serving it is no second use: the page is as
+    /// old as its entry in the eviction queue says.
     Requested,
 }
 
@@ -79,8 +80,8 @@ impl HintMark {
 }
 
 impl Resident {
-    /// When it was last used. Later than any use if it is kept, and the later the earlier it was used: rays come last to what was
-    /// entered last.
+    /// When it was last used. Later than any use if it is kept, and the later the earlier it was
+    /// used: rays come last to what was entered last.
     pub(super) fn age(&self) -> u64 {
         const LATER: u64 = u64::MAX - 1;
         let last_use = self.last_use.load(Ordering::Relaxed);
@@ -180,7 +181,8 @@ impl Object {
         measured.unwrap_or_else(|| Duration::from_nanos(self.latency.load(Ordering::Relaxed)))
     }
 
-    /// A read took so long. Of two that are counted at once one may be lost, which an average does not notice.
+    /// A read took so long. Of two that are counted at once one may be lost, which an average does
+    /// not notice.
     pub(super) fn took(&self, time: Duration) {
         let time = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
         let before = self.latency.load(Ordering::Relaxed);

@@ -1,5 +1,5 @@
-//! What each thread has for itself, so that threads that request resident pages write nothing in common but the state of these
-//! pages.
+//! What each thread has for itself, so that threads that request resident pages write nothing in
+//! common but the state of these pages.
 
 use std::sync::Arc;
 
@@ -8,8 +8,9 @@ use super::stats::Hits;
 use rayset_base::sync::atomic::{AtomicU64, Ordering};
 use rayset_base::sync::lock;
 
-/// What the guards of one client, or of one of its threads, refer to: their references are counted here, and their hits, so that
-/// threads that request resident pages write nothing in common but the pages' own state.
+/// What the guards of one client, or of one of its threads, refer to: their references are counted
+/// here, and their hits, so that threads that request resident pages write nothing in common but
+/// the pages' own state.
 #[repr(align(128))]
 pub(super) struct Own {
     pub(super) shared: Arc<Shared>,

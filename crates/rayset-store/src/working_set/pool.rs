@@ -1,10 +1,11 @@
 //! The page pool: the budget, the eviction queue, and the threads that wait.
 //!
-//! **Locks**, in the order in which they are taken: that of a client's list of hints, or of the pool; then that of a
-//! slot; then that of the table of clients. None is held across a read, a check, or a wait for anything but its own
-//! condition. The lock of the pool is held for a search through all pages only if an object is forgotten, if a budget
-//! is too small (to say by how much), or to remove entries of pages that have been evicted, at a cost proportional to
-//! the entries added since the last time.
+//! **Locks**, in the order in which they are taken: that of a client's list of hints, or of the
+//! pool; then that of a slot; then that of the table of clients. None is held across a read, a
+//! check, or a wait for anything but its own condition. The lock of the pool is held for a search
+//! through all pages only if an object is forgotten, if a budget is too small (to say by how much),
+//! or to remove entries of pages that have been evicted, at a cost proportional to the entries
+//! added since the last time.
 
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -21,7 +22,8 @@ use rayset_base::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fe
 use rayset_base::sync::thread::{self, ThreadId};
 use rayset_base::sync::{Condvar, Mutex, MutexGuard, lock_counting, wait_timeout};
 
-/// How far the clock goes on at a time: uses of pages in between have times of their own, thread by thread.
+/// How far the clock goes on at a time: uses of pages in between have times of their own, thread by
+/// thread.
 const TICK: u64 = 1 << 20;
 
 /// A waiting thread checks its condition again after this, whether it was notified or not.
@@ -30,7 +32,8 @@ const LONGEST_WAIT: Duration = Duration::from_secs(1);
 struct State {
     budget: Budget,
     queue: EvictionQueue,
-    /// Pages whose room is reserved and whose bytes are still to come, not counting those in `computing`.
+    /// Pages whose room is reserved and whose bytes are still to come, not counting those in
+    /// `computing`.
     loading: u64,
     /// For each page that is being computed, the thread that computes it.
     computing: Vec<ThreadId>,
@@ -45,10 +48,11 @@ pub(super) struct PagePool {
     state: Mutex<State>,
     changed: Condvar,
     clock: AtomicU64,
-    /// Whether any page has been evicted: as long as everything fits, nobody needs to know when it is used again.
+    /// Whether any page has been evicted: as long as everything fits, nobody needs to know when it
+    /// is used again.
     evicts: AtomicBool,
-    /// Number of threads that wait for room, and (`waiting`) of all that wait. Notifying costs a system call even if no
-    /// thread waits.
+    /// Number of threads that wait for room, and (`waiting`) of all that wait. Notifying costs a
+    /// system call even if no thread waits.
     waiting_for_room: AtomicUsize,
     waiting: AtomicUsize,
     /// How long a thread waits for room, or for a page, while no page is loading.
@@ -115,8 +119,9 @@ impl PagePool {
         self.clock.load(Ordering::Relaxed)
     }
 
-    /// The time of a use of a page by a thread whose last use was at `last`: later than that, and than all reservations and
-    /// loads before it. The clock stands still as long as pages are only used: threads do not write it for every request.
+    /// The time of a use of a page by a thread whose last use was at `last`: later than that, and
+    /// than all reservations and loads before it. The clock stands still as long as pages are only
+    /// used: threads do not write it for every request.
     pub(super) fn time_of_use(&self, last: u64) -> u64 {
         let now = self.now();
         (now.max(last) + 1).min(now + TICK - 1)
@@ -131,8 +136,8 @@ impl PagePool {
         self.lock().budget.limits.clone()
     }
 
-    /// Sets new limits and evicts pages that are neither retained nor loading until the limits hold, if possible.
-    /// Returns what was evicted.
+    /// Sets new limits and evicts pages that are neither retained nor loading until the limits
+    /// hold, if possible. Returns what was evicted.
     pub(super) fn set_limits(&self, limits: Limits) -> Vec<Evicted> {
         let mut state = self.lock();
         state.budget.limits = limits;
@@ -155,7 +160,8 @@ impl PagePool {
         evicted
     }
 
-    /// Evicts the pages of one object that are neither retained nor loading. Returns what was evicted.
+    /// Evicts the pages of one object that are neither retained nor loading. Returns what was
+    /// evicted.
     pub(super) fn evict_object(&self, object: &Object) -> Vec<Evicted> {
         let mut state = self.lock();
         let evicted = state.queue.evict_object(object);
@@ -173,7 +179,8 @@ impl PagePool {
         self.lock().queue.retire(object.clone(), page, serial);
     }
 
-    /// Reserves room for one page, if evicting pages that are not retained makes enough. Also returns what was evicted.
+    /// Reserves room for one page, if evicting pages that are not retained makes enough. Also
+    /// returns what was evicted.
     pub(super) fn try_reserve(
         &self,
         kind: Kind,
@@ -193,9 +200,9 @@ impl PagePool {
         }
     }
 
-    /// Reserves room for one page that a thread waits for, by evicting what `reuse` says is needed last. Waits for releases if it must, but not longer than its
-    /// patience while no page is loading: a page that is loading can be evicted once it is resident, however slow the
-    /// disk.
+    /// Reserves room for one page that a thread waits for, by evicting what `reuse` says is needed
+    /// last. Waits for releases if it must, but not longer than its patience while no page is
+    /// loading: a page that is loading can be evicted once it is resident, however slow the disk.
     pub(super) fn reserve(
         &self,
         kind: Kind,
@@ -214,7 +221,8 @@ impl PagePool {
         if let Some(room) = try_now(&mut self.lock()) {
             return Ok(room);
         }
-        // A thread that releases a page from now on notifies; what was released before is seen by the next search.
+        // A thread that releases a page from now on notifies; what was released before is seen by
+        // the next search.
         self.waiting_for_room.fetch_add(1, Ordering::SeqCst);
         fence(Ordering::SeqCst);
         let room = self.wait_for(cancel, |state| {
@@ -225,9 +233,10 @@ impl PagePool {
         room?
     }
 
-    /// Waits until `ready` returns something, but not longer than the patience while no page is loading. `ready` is
-    /// called under the lock of the pool, which every change of a slot from loading takes before it notifies: a waiting
-    /// thread was counted before that, so no change is missed.
+    /// Waits until `ready` returns something, but not longer than the patience while no page is
+    /// loading. `ready` is called under the lock of the pool, which every change of a slot from
+    /// loading takes before it notifies: a waiting thread was counted before that, so no change is
+    /// missed.
     pub(super) fn wait_until<T>(
         &self,
         cancel: &CancelToken,
@@ -274,8 +283,9 @@ impl PagePool {
         state
     }
 
-    /// Declares that the calling thread computes the page that it has reserved room for, until the guard is dropped:
-    /// while it waits for anything meanwhile, its own page does not count as loading.
+    /// Declares that the calling thread computes the page that it has reserved room for, until the
+    /// guard is dropped: while it waits for anything meanwhile, its own page does not count as
+    /// loading.
     pub(super) fn computing(&self) -> Computing<'_> {
         let thread = thread::current().id();
         let mut state = self.lock();
@@ -284,8 +294,9 @@ impl PagePool {
         Computing { pool: self, thread }
     }
 
-    /// Makes a page resident for which room was reserved: from now on it can be retained, and evicted unless `hold`
-    /// retains it. Returns the result of `hold`, and what was evicted because limits have been lowered meanwhile.
+    /// Makes a page resident for which room was reserved: from now on it can be retained, and
+    /// evicted unless `hold` retains it. Returns the result of `hold`, and what was evicted because
+    /// limits have been lowered meanwhile.
     pub(super) fn loaded<T>(
         &self,
         object: &Arc<Object>,
@@ -364,9 +375,9 @@ impl PagePool {
 }
 
 impl State {
-    /// Whether a page is loading while the calling thread waits: being read, or computed by a thread that is not
-    /// waiting itself. Otherwise threads that compute pages and wait for room taken by each other's pages would wait
-    /// forever.
+    /// Whether a page is loading while the calling thread waits: being read, or computed by a
+    /// thread that is not waiting itself. Otherwise threads that compute pages and wait for room
+    /// taken by each other's pages would wait forever.
     fn is_moving(&self) -> bool {
         let waits = |thread: &ThreadId| *thread == thread::current().id() || self.halted.contains(thread);
         self.loading > 0 || !self.computing.iter().all(waits)
@@ -408,7 +419,8 @@ impl State {
         evicted
     }
 
-    /// Takes room for a page, if evictions can make enough; evicted pages are added to `evicted`, without their memory.
+    /// Takes room for a page, if evictions can make enough; evicted pages are added to `evicted`,
+    /// without their memory.
     fn reserve(
         &mut self,
         kind: Kind,
@@ -429,7 +441,8 @@ impl State {
             Some(at) => self.recycled.swap_remove(at),
             None => PageBuffer::new(bytes as usize),
         };
-        // Memory of other sizes goes back to the system; otherwise the process would exceed its budget.
+        // Memory of other sizes goes back to the system; otherwise the process would exceed its
+        // budget.
         self.recycled.clear();
         Some(buffer)
     }

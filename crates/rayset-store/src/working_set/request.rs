@@ -1,6 +1,7 @@
-//! The way of a page into memory, step by step: a client requests it ([`retain`](PageClient::retain)); it is absent, so
-//! room is made (`make_room`) and a read is submitted (`read_of`); what was read is checked and becomes resident
-//! (`complete`); and threads that waited (`wait_for_page`) retain it. [`retain_computed`](PageClient::retain_computed)
+//! The way of a page into memory, step by step: a client requests it
+//! ([`retain`](PageClient::retain)); it is absent, so room is made (`make_room`) and a read is
+//! submitted (`read_of`); what was read is checked and becomes resident (`complete`); and threads
+//! that waited (`wait_for_page`) retain it. [`retain_computed`](PageClient::retain_computed)
 //! computes a page instead of reading it.
 
 use std::cell::RefCell;
@@ -27,14 +28,14 @@ impl PageClient {
     /// Retains a page, reading it if it is absent.
     ///
     /// # Errors
-    /// [`PageFault`] if the page cannot be read or is damaged, if there is no room for it although nothing is loading,
-    /// or if the client is cancelled while it waits.
+    /// [`PageFault`] if the page cannot be read or is damaged, if there is no room for it although
+    /// nothing is loading, or if the client is cancelled while it waits.
     pub fn retain(&self, object: &Arc<Object>, page: u32) -> Result<PageGuard, PageFault> {
         self.retain_knowing(object, page, None)
     }
 
-    /// Retains a page as [`retain`](Self::retain) does; if another has to make room for it, the one that `reuse` says is needed
-    /// last.
+    /// Retains a page as [`retain`](Self::retain) does; if another has to make room for it, the one
+    /// that `reuse` says is needed last.
     ///
     /// # Errors
     /// As for [`retain`](Self::retain).
@@ -92,7 +93,8 @@ impl PageClient {
         }
     }
 
-    /// Makes room for a page that this thread has set to loading and will wait for, and submits its read.
+    /// Makes room for a page that this thread has set to loading and will wait for, and submits its
+    /// read.
     fn read(&self, object: &Arc<Object>, page: u32, reuse: Option<&RefCell<Reuse>>) -> Result<(), PageFault> {
         let buffer = self.make_room(object, page, reuse)?;
         let read = self.shared.read_of(object, page, buffer, self.number, None);
@@ -100,7 +102,8 @@ impl PageClient {
         Ok(())
     }
 
-    /// Reserves room for a page that this thread has set to loading; if there is none, the page becomes absent again.
+    /// Reserves room for a page that this thread has set to loading; if there is none, the page
+    /// becomes absent again.
     fn make_room(
         &self,
         object: &Arc<Object>,
@@ -138,7 +141,8 @@ impl PageClient {
                 Slot::Loading => None,
                 Slot::Resident(resident) => Some(Some(Ok(self.guard(object, resident, counters)))),
                 Slot::Failed(fault) => Some(Some(Err((**fault).clone()))),
-                // The page was loaded and evicted again before this thread woke up, or a hint found no room for it.
+                // The page was loaded and evicted again before this thread woke up, or a hint found
+                // no room for it.
                 Slot::Absent => Some(None),
             });
             match outcome {
@@ -161,16 +165,16 @@ impl PageClient {
         result
     }
 
-    /// Retains a page that is computed, not read: if it is absent, `compute` fills its bytes on the calling thread,
-    /// which may retain other pages meanwhile. Another thread that requests the page waits for it, or computes it if
-    /// this one fails.
+    /// Retains a page that is computed, not read: if it is absent, `compute` fills its bytes on the
+    /// calling thread, which may retain other pages meanwhile. Another thread that requests the
+    /// page waits for it, or computes it if this one fails.
     ///
     /// Panics if `compute` panics; requests for the page fail from then on.
     ///
     /// # Errors
-    /// The error that `compute` returns, which leaves the page absent; a [`PageFault`] if there is no room, an earlier
-    /// `compute` has panicked, the page is being computed by a thread that waits for this one, or the client is
-    /// cancelled while it waits.
+    /// The error that `compute` returns, which leaves the page absent; a [`PageFault`] if there is
+    /// no room, an earlier `compute` has panicked, the page is being computed by a thread that
+    /// waits for this one, or the client is cancelled while it waits.
     pub fn retain_computed<E: From<PageFault>>(
         &self,
         object: &Arc<Object>,
@@ -288,7 +292,8 @@ impl Shared {
         self.pool.notify();
     }
 
-    /// The read that will make a page resident, for a client, and the hint if the page is read for one.
+    /// The read that will make a page resident, for a client, and the hint if the page is read for
+    /// one.
     pub(super) fn read_of(
         self: &Arc<Self>,
         object: &Arc<Object>,

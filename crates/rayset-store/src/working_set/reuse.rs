@@ -1,10 +1,12 @@
 //! When pages are used again, as far as the thread that uses them knows.
 //!
-//! A thread works in rounds: tiles. One round asks for much the same pages as the next, in the same order, front to back. If they
-//! do not all fit, evicting the least recently used page is the worst choice there is: it is the one that is needed next. What is
-//! needed last is the page that the round has just passed. So, after retired pages, those go that the round before last has
-//! used and the last one has not; then those that this round has passed, the latest first; and only then, the oldest first, those
-//! that it still uses, unless it goes through them in turn, slab after slab, when the latest goes first here, too.
+//! A thread works in rounds: tiles. One round asks for much the same pages as the next, in the same
+//! order, front to back. If they do not all fit, evicting the least recently used page is the worst
+//! choice there is: it is the one that is needed next. What is needed last is the page that the
+//! round has just passed. So, after retired pages, those go that the round before last has used and
+//! the last one has not; then those that this round has passed, the latest first; and only then,
+//! the oldest first, those that it still uses, unless it goes through them in turn, slab after
+//! slab, when the latest goes first here, too.
 //!
 //! What is noted here serves eviction alone: it changes which pages are read again, and no picture.
 
@@ -14,7 +16,8 @@ use std::sync::Arc;
 use super::entry::Entry;
 use super::object::Object;
 
-/// Most pages that are remembered, the latest, as passed and as gone through in turn: they are asked for from the latest on.
+/// Most pages that are remembered, the latest, as passed and as gone through in turn: they are
+/// asked for from the latest on.
 const MOST_REMEMBERED: usize = 1024;
 /// Most places of a round that are remembered.
 const MOST_MARKS: usize = 512;
@@ -38,7 +41,8 @@ pub struct Reuse {
     goes_in_turn: bool,
 }
 
-/// How far a round has come: the packet, counted from the beginning of the round, and the first sample of its slab.
+/// How far a round has come: the packet, counted from the beginning of the round, and the first
+/// sample of its slab.
 #[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 struct Place {
     packet: u32,
@@ -56,7 +60,8 @@ struct Used {
     last_use: u64,
     serial: u32,
     page: u32,
-    /// Index in [`Reuse::objects`]: to count references would be one more thing that all threads write.
+    /// Index in [`Reuse::objects`]: to count references would be one more thing that all threads
+    /// write.
     object: usize,
 }
 
@@ -80,8 +85,8 @@ impl Reuse {
         self.reached = 1;
     }
 
-    /// A slab is about to use a page in turn; `sample` is the slab's first. If it lies before that of the last slab, the slab
-    /// belongs to another packet.
+    /// A slab is about to use a page in turn; `sample` is the slab's first. If it lies before that
+    /// of the last slab, the slab belongs to another packet.
     pub(super) fn come_to(&mut self, sample: u64, now: u64) {
         self.goes_in_turn = true;
         if sample == self.place.sample {

@@ -61,8 +61,8 @@ impl Shared {
         clients.hints_of(client).is_some_and(|hints| hints.era.load(Ordering::Relaxed) == era)
     }
 
-    /// Settles a hint: the page has been requested, or will not be. Returns whether it was read for the hint. The
-    /// caller holds the lock of the page's slot, or has evicted the page.
+    /// Settles a hint: the page has been requested, or will not be. Returns whether it was read for
+    /// the hint. The caller holds the lock of the page's slot, or has evicted the page.
     pub(super) fn settle_hint(&self, resident: &Resident, bytes: u64) -> bool {
         let mark = resident.hint_mark();
         if mark == HintMark::None {

@@ -102,7 +102,8 @@ pub enum PageFault {
         /// The page.
         page: u32,
     },
-    /// The page is being computed by a thread that waits itself, and nothing that could end its wait is in progress.
+    /// The page is being computed by a thread that waits itself, and nothing that could end its
+    /// wait is in progress.
     #[error("{name}: page {page} is being made by a thread that waits for others that wait for it")]
     Stuck {
         /// The source.

@@ -51,8 +51,8 @@ impl Counters {
     }
 }
 
-/// Requests for resident pages, by kind, of one thread. In lines of the processor's caches that no other thread writes:
-/// there may be millions of requests a second, by any number of threads.
+/// Requests for resident pages, by kind, of one thread. In lines of the processor's caches that no
+/// other thread writes: there may be millions of requests a second, by any number of threads.
 #[derive(Debug, Default)]
 #[repr(align(128))]
 pub(super) struct Hits([AtomicU64; KINDS]);

@@ -1,4 +1,5 @@
-//! Tests that need the inside of a working set: waits that end, pages whose computation fails, hints that are settled.
+//! Tests that need the inside of a working set: waits that end, pages whose computation fails,
+//! hints that are settled.
 
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -67,8 +68,8 @@ fn zeros(pages: u32, page_bytes: u64, delay_milliseconds: u64) -> Arc<Zeros> {
     Arc::new(Zeros { pages, page_bytes, delay_milliseconds: delay_milliseconds.into(), unreadable_offset })
 }
 
-/// A set with room for `room` pages, whose threads have the given patience, and an object whose reads take the given
-/// delay.
+/// A set with room for `room` pages, whose threads have the given patience, and an object whose
+/// reads take the given delay.
 fn set(
     room: u64,
     patience_milliseconds: u64,
@@ -152,7 +153,8 @@ fn a_page_that_is_computed_for_long_is_waited_for() {
         })
     };
     begun.wait();
-    // One thread waits for the page, another for its room: both wait six times as long as their patience.
+    // One thread waits for the page, another for its room: both wait six times as long as their
+    // patience.
     let (of_client, of_object) = (client.clone(), object.clone());
     let same = std::thread::spawn(move || {
         of_client.retain_computed(&of_object, 0, |_| Ok::<(), PageFault>(())).map(drop)
@@ -259,7 +261,8 @@ fn hints_that_are_forgotten_while_they_are_read_no_longer_count_as_unused() {
     assert_eq!(hints_taken(&client, &object), 8);
 }
 
-/// A billion points are some 200 000 pages; what the set stores for them must be small compared to any budget.
+/// A billion points are some 200 000 pages; what the set stores for them must be small compared to
+/// any budget.
 #[test]
 fn a_page_takes_at_most_32_bytes_outside_the_budget() {
     assert!(WorkingSet::overhead_bytes(1) <= 32, "{} bytes", WorkingSet::overhead_bytes(1));
@@ -326,7 +329,8 @@ fn pages_that_were_there_when_they_were_hinted_at_never_count_as_read_for_a_hint
     }
 }
 
-/// A page that was read for a request has been used once, when it came: nobody used it a second time.
+/// A page that was read for a request has been used once, when it came: nobody used it a second
+/// time.
 #[test]
 fn pages_that_were_used_once_go_in_the_order_in_which_they_came() {
     let pages = 300;

@@ -1,4 +1,5 @@
-//! Ambient occlusion: what it darkens, what it leaves alone, and that regions and bands join without a seam.
+//! Ambient occlusion: what it darkens, what it leaves alone, and that regions and bands join
+//! without a seam.
 
 use rayset::geometry::{DAffine3, DVec3};
 use rayset::scene::{Camera, Form, LightKind, Node, Operator, Projection, RenderSettings, Scene, Step};

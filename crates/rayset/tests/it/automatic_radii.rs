@@ -1,4 +1,5 @@
-//! Radii that are measured: they are what the documents say, and clouds with them look like what was scanned.
+//! Radii that are measured: they are what the documents say, and clouds with them look like what
+//! was scanned.
 
 #![allow(clippy::print_stdout, reason = "a measurement prints its table")]
 
@@ -140,8 +141,8 @@ fn copies_of_points_change_no_radius() {
         for copies in [2, 9, 100] {
             assert!(radii_of_copies(&points, |_| copies) == once, "{name}: {copies} of each");
         }
-        // Runs of copies of any length, which begin and end anywhere in what is read together; and more of a point than
-        // go into a block.
+        // Runs of copies of any length, which begin and end anywhere in what is read together; and
+        // more of a point than go into a block.
         let uneven = |i: usize| {
             if i % 100 == 7 {
                 3000
@@ -168,13 +169,15 @@ fn few_places_have_the_radius_of_their_number_however_often_they_occur() {
             assert!(radii.values().all(|r| (r / expected - 1.0).abs() < 1e-6), "{copies} copies: {radii:?}");
         }
     }
-    // Where very many places share a cell of the curve, too: two clusters, a thousand million times as far apart as wide.
+    // Where very many places share a cell of the curve, too: two clusters, a thousand million times
+    // as far apart as wide.
     let random = &mut Random(13);
     let cluster = |random: &mut Random, at: f64| -> Vec<Point> {
         (0..9000).map(|_| std::array::from_fn(|_| at + 1e-3 * random.unit())).collect()
     };
     let clusters = [cluster(random, 0.0), cluster(random, 1e6)].concat();
-    // So far from the origin a stored position depends on its neighbours in the file, which are others: radii are compared alone.
+    // So far from the origin a stored position depends on its neighbours in the file, which are
+    // others: radii are compared alone.
     let radii = |copies: usize| {
         let all: Vec<Point> = clusters.iter().flat_map(|&p| std::iter::repeat_n(p, copies)).collect();
         let mut radii: Vec<u64> = measured(&all).iter().map(|(_, radius)| radius.to_bits()).collect();
@@ -221,15 +224,15 @@ impl Density {
 /// How far a scan is from the surface of the cloud that was made of a part of it.
 #[derive(Debug)]
 struct Fit {
-    /// Root of the mean squared distance of points of the scan from the surface, in spacings of the part, where those with
-    /// no surface within 1.5 spacings count as that far.
+    /// Root of the mean squared distance of points of the scan from the surface, in spacings of the
+    /// part, where those with no surface within 1.5 spacings count as that far.
     rms: f64,
     /// The share of points of the scan with no surface within one spacing.
     holes: f64,
 }
 
-/// Distances of up to `most` points of a scan to the surface on which the density is `level`: the nearest along 66 directions,
-/// which can only be too far.
+/// Distances of up to `most` points of a scan to the surface on which the density is `level`: the
+/// nearest along 66 directions, which can only be too far.
 fn fit(scan: &[Point], density: &Density, spacing: f64, level: f64, most: usize) -> Fit {
     const DIRECTIONS: usize = 66;
     const STEPS: usize = 30;
@@ -331,8 +334,8 @@ fn thinned_real_scans() {
         let random = &mut Random(10);
         for part in [0.5, 0.25, 0.1] {
             let points = measured(&thinned(&scan, part, random));
-            // The mean area that belongs to a point, eight of which lie within the distance of the eighth neighbour; those
-            // of the hundredth part that is sparsest are left out.
+            // The mean area that belongs to a point, eight of which lie within the distance of the
+            // eighth neighbour; those of the hundredth part that is sparsest are left out.
             let mut areas: Vec<f64> = points
                 .iter()
                 .map(|(_, radius)| std::f64::consts::PI * (radius / PER_DISTANCE).powi(2) / NEIGHBOUR as f64)

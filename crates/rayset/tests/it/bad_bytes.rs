@@ -125,7 +125,8 @@ fn an_octree_that_is_no_tree_is_an_error_in_bounded_time() {
     let cloud = build_at(&path, Box::new(points), &BuildOptions::default());
     let header = cloud.header().clone();
     let mut bytes = std::fs::read(&path).expect("the file reads");
-    // Groups of eight records, each of which has the whole group before it for children: 8^20 ways down.
+    // Groups of eight records, each of which has the whole group before it for children: 8^20 ways
+    // down.
     let at = header.page_offset(header.point_pages) as usize;
     let page = &mut bytes[at..at + header.page_bytes as usize];
     let leaf = NodePage::trusted(page).get(usize::from(header.root.index)).expect("a root");

@@ -171,7 +171,8 @@ fn rays_that_turn_give_the_same_picture_whatever_the_means() {
 
 #[test]
 fn more_rays_than_are_held_at_a_time_give_the_same_picture_as_each_pixel_alone() {
-    // Panes one behind the other, each of which mirrors a little: more rays than a whole tile may have.
+    // Panes one behind the other, each of which mirrors a little: more rays than a whole tile may
+    // have.
     let pane = |i: i32| {
         let pane = Solid { opacity: 0.2, ..Solid::new(Form::Box { size: DVec3::new(2.0, 2.0, 0.012) }) };
         let place = DVec3::new(0.0, 0.0, 0.03 * f64::from(i - 25));

@@ -211,11 +211,13 @@ fn a_build_is_cancelled_at_once_in_every_stage_and_leaves_nothing() {
         assert_eq!(std::fs::read_dir(folder.path()).expect("the folder").count(), 0, "{stage:?}");
     }
     late.sort_unstable();
-    // Other tests keep the processors and the disk busy meanwhile; docs/benchmarks.md says what a quiet machine does.
+    // Other tests keep the processors and the disk busy meanwhile; docs/benchmarks.md says what a
+    // quiet machine does.
     assert!(late[20] < Duration::from_millis(150) && late[39] < Duration::from_secs(3), "{late:?}");
 }
 
-/// Hands out what was not asked for: another number of columns, or one that is shorter than the positions.
+/// Hands out what was not asked for: another number of columns, or one that is shorter than the
+/// positions.
 struct Careless {
     schema: Schema,
     columns: Vec<Values>,
@@ -252,7 +254,8 @@ fn a_source_that_hands_out_other_columns_than_were_selected_is_an_error() {
     }
 }
 
-/// A file that takes long to be read before its first point: a mesh of each kind, splats of which attributes lie behind others.
+/// A file that takes long to be read before its first point: a mesh of each kind, splats of which
+/// attributes lie behind others.
 fn slow_files(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
     let write = |name: &str, bytes: Vec<u8>| {
         let path = folder.join(name);
@@ -290,7 +293,8 @@ fn slow_files(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
     ]
 }
 
-/// What came of reading the file while another thread cancels it after a delay, and the time from that moment to its end.
+/// What came of reading the file while another thread cancels it after a delay, and the time from
+/// that moment to its end.
 fn fill_and_cancel(
     path: &std::path::Path,
     options: &rayset::points::ReadOptions,
@@ -316,7 +320,8 @@ fn meshes_and_splats_that_are_read_before_their_first_point_stop_when_they_are_c
     for path in slow_files(folder.path()) {
         let options = rayset::points::ReadOptions::default().with_mesh_points(Some(10));
         let cancel = CancelToken::new();
-        // On a busy machine the file may have been read whole before the token is cancelled; then it is cancelled sooner.
+        // On a busy machine the file may have been read whole before the token is cancelled; then
+        // it is cancelled sooner.
         let stopped = [4000, 2000, 1000, 500, 250, 125, 0].into_iter().any(|delay_us| {
             let (filled, took) = fill_and_cancel(&path, &options, Duration::from_micros(delay_us));
             assert!(took < Duration::from_secs(1), "{}: {took:?}, {filled:?}", path.display());

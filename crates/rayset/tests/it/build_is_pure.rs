@@ -1,4 +1,5 @@
-//! The same input and options give the same bytes, whatever the threads, the memory and the order of the input.
+//! The same input and options give the same bytes, whatever the threads, the memory and the order
+//! of the input.
 
 use std::path::Path;
 

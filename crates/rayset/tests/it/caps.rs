@@ -1,4 +1,5 @@
-//! Caps: a cut through a hollow scan shows a solid, what is outside stays empty, and open scans have none.
+//! Caps: a cut through a hollow scan shows a solid, what is outside stays empty, and open scans
+//! have none.
 
 use std::sync::Arc;
 
@@ -23,7 +24,8 @@ const POINT_RADIUS: f32 = 0.06;
 const SCAN: [f64; 3] = [0.1, 0.5, 0.1];
 const CAP: [f64; 3] = [0.9, 0.2, 0.1];
 
-/// A scan of points of which `keep` holds, placed at random on a surface that `place` draws from two numbers below 1.
+/// A scan of points of which `keep` holds, placed at random on a surface that `place` draws from
+/// two numbers below 1.
 fn scan(
     folder: &tempfile::TempDir,
     count: usize,
@@ -122,7 +124,8 @@ fn a_cap_is_lit_and_placed_as_a_solid_in_its_place_would_be() {
     let ball = scan(&folder, 6000, on_a_ball, |_| true);
     let kernel = solid(Form::Sphere { radius: RADIUS }, CAP);
     let with_solid = Node::operator(Operator::Union, [ball.clone(), kernel]);
-    // Turned, stretched and moved as a whole: what is inside is found in the space of the difference.
+    // Turned, stretched and moved as a whole: what is inside is found in the space of the
+    // difference.
     let moved = DAffine3::from_scale_rotation_translation(
         DVec3::new(0.8, 1.1, 0.9),
         rayset::geometry::DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 0.5).normalize(), 0.4),
@@ -135,7 +138,8 @@ fn a_cap_is_lit_and_placed_as_a_solid_in_its_place_would_be() {
     let differs = |(a, b): (&[f32; 4], &[f32; 4])| (0..4).any(|c| (a[c] - b[c]).abs() > 1.0 / 256.0);
     let wrong = found.iter().zip(&expected).filter(|&pair| differs(pair)).count();
     let seen = expected.iter().filter(|pixel| pixel[3] > 0.5).count();
-    // Both edges lie within the shell; where they are seen through it, they may differ by a part of a cell.
+    // Both edges lie within the shell; where they are seen through it, they may differ by a part of
+    // a cell.
     assert!(seen > 2000 && wrong <= seen / 40, "{wrong} of {seen} pixels differ");
 }
 

@@ -1,6 +1,8 @@
-//! No circle of files: who reads one file needs those that it uses, and never comes back to where they began.
+//! No circle of files: who reads one file needs those that it uses, and never comes back to where
+//! they began.
 //!
-//! Imports are followed to the file that defines a name, through what folders hand on (`pub use self::…`).
+//! Imports are followed to the file that defines a name, through what folders hand on
+//! (`pub use self::…`).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -134,7 +136,8 @@ impl Crate {
         Self { files: paths.iter().map(file).collect() }
     }
 
-    /// The module whose file defines what a path means in a module; `None` for what is of another crate.
+    /// The module whose file defines what a path means in a module; `None` for what is of another
+    /// crate.
     fn definition(&self, module: &Module, path: &[String], depth: u32) -> Option<Module> {
         let mut here = module.clone();
         let mut path = path.iter().peekable();
@@ -172,7 +175,8 @@ impl Crate {
         entered.then_some(here)
     }
 
-    /// What each file uses of others. A folder's file that only hands names on does not use where they are from.
+    /// What each file uses of others. A folder's file that only hands names on does not use where
+    /// they are from.
     fn arrows(&self) -> BTreeMap<Module, BTreeSet<Module>> {
         let mut arrows = BTreeMap::new();
         for (module, file) in &self.files {
@@ -184,7 +188,8 @@ impl Crate {
     }
 }
 
-/// The files of circles, and those between them: what is left where files that use nothing of the others go, and go again.
+/// The files of circles, and those between them: what is left where files that use nothing of the
+/// others go, and go again.
 fn circles(mut arrows: BTreeMap<Module, BTreeSet<Module>>) -> BTreeMap<Module, BTreeSet<Module>> {
     loop {
         let done: BTreeSet<Module> =

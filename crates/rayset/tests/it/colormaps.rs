@@ -1,5 +1,5 @@
-//! Colour maps and curves are what their stops say, however near to each other these are: against the reference renderer, which looks
-//! them up stop by stop.
+//! Colour maps and curves are what their stops say, however near to each other these are: against
+//! the reference renderer, which looks them up stop by stop.
 
 use std::sync::Arc;
 
@@ -46,7 +46,8 @@ fn input() -> Channel {
     Channel::Attribute("gradient".into())
 }
 
-/// Pixels of a picture that are farther from the reference renderer's than 1/1024, of those that show anything.
+/// Pixels of a picture that are farther from the reference renderer's than 1/1024, of those that
+/// show anything.
 fn wrong_pixels(scene: &Scene, settings: &RenderSettings, step: f64) -> (usize, usize) {
     let fast = plain_picture(scene, settings);
     let reference_renderer = ReferenceRenderer::load(scene).expect("it reads");
@@ -87,7 +88,8 @@ fn thin_isolines_and_hard_edges_are_where_their_stops_are() {
 
 #[test]
 fn a_class_has_its_own_colour_up_to_the_very_edge() {
-    // All samples of a pixel of a thin sheet have nearly one value; the edge lies half a thousandth beside it.
+    // All samples of a pixel of a thin sheet have nearly one value; the edge lies half a thousandth
+    // beside it.
     let sheet = |edge: f64| {
         let form = Form::Box { size: DVec3::new(2.0, 2.0, 1e-4) };
         let (from, to) = (DVec3::new(-1.0, 0.0, 0.0), DVec3::new(1.0, 0.0, 0.0));

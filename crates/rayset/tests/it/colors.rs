@@ -1,4 +1,5 @@
-//! Colours of several inputs: each has a depth of its own, and points without colours are grey among others.
+//! Colours of several inputs: each has a depth of its own, and points without colours are grey
+//! among others.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,8 @@ fn write(folder: &Path, name: &str, text: impl AsRef<[u8]>) -> PathBuf {
     path
 }
 
-/// The colours of one cloud of all `files`, each with the x of its point, in the order of x; and the report.
+/// The colours of one cloud of all `files`, each with the x of its point, in the order of x; and
+/// the report.
 fn colors(files: &[PathBuf]) -> (Vec<(f64, [f64; 3])>, BuildReport) {
     let open = |file: &PathBuf| points::open(file, &ReadOptions::default()).expect("it opens");
     let sources = files.iter().map(open).collect();

@@ -23,8 +23,9 @@ pub(crate) fn folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a temporary folder")
 }
 
-/// Real scans, where `RAYSET_TEST_DATA` names a folder of them; tests never need them. Says so where a test has to do
-/// without, past the harness, which keeps to itself what a test that passes prints.
+/// Real scans, where `RAYSET_TEST_DATA` names a folder of them; tests never need them. Says so
+/// where a test has to do without, past the harness, which keeps to itself what a test that passes
+/// prints.
 pub(crate) fn real_data(name: &str) -> Option<PathBuf> {
     let root = std::env::var_os("RAYSET_TEST_DATA").map(PathBuf::from);
     let found = root.map(|root| root.join(name)).filter(|path| path.exists());

@@ -1,7 +1,8 @@
-//! Inputs that the fuzzers begin with: small files of every kind, made by writers of ours, and read here as they are.
+//! Inputs that the fuzzers begin with: small files of every kind, made by writers of ours, and read
+//! here as they are.
 //!
-//! With `RAYSET_CORPUS` they are left in that folder, one folder a target. An input for points or volumes begins with a byte
-//! that chooses the name of the file, as in `fuzz/src/lib.rs`.
+//! With `RAYSET_CORPUS` they are left in that folder, one folder a target. An input for points or
+//! volumes begins with a byte that chooses the name of the file, as in `fuzz/src/lib.rs`.
 
 use std::io::Write;
 use std::path::Path;

@@ -1,6 +1,8 @@
-//! Intersections and differences of hard solids have the surfaces that geometry says, in both renderers.
+//! Intersections and differences of hard solids have the surfaces that geometry says, in both
+//! renderers.
 //!
-//! Solids are equally opaque inside, so opacities alone do not say which of them a surface belongs to.
+//! Solids are equally opaque inside, so opacities alone do not say which of them a surface belongs
+//! to.
 
 use rayset::geometry::{DAffine3, DVec3};
 use rayset::scene::{
@@ -43,7 +45,8 @@ fn rendered(scene: &Scene, camera: &Camera) -> Vec<[f32; 4]> {
     render_once(scene, camera, &fixed(), &exec, &paged(scene, 1 << 20)).expect("a picture").0.pixels
 }
 
-/// The red of pixels, each by both renderers, which agree with what is expected within a bound, but for some.
+/// The red of pixels, each by both renderers, which agree with what is expected within a bound, but
+/// for some.
 fn compare(
     what: &str,
     scene: &Scene,
@@ -164,7 +167,8 @@ fn glass(node: Node) -> Node {
     })
 }
 
-/// A wall in a plane across an axis, whose red tells the place along another: from 0 at −1 to 1 at 1.
+/// A wall in a plane across an axis, whose red tells the place along another: from 0 at −1 to 1
+/// at 1.
 fn wall(across: DVec3, along: DVec3, at: f64) -> Node {
     let steps = (0..=64).map(|i| {
         let linear = f64::from(i) / 64.0;
@@ -214,14 +218,16 @@ fn a_lens_of_glass_bends_rays_as_its_two_surfaces_do() {
             let red = covered() * (0.5 + 0.5 * seen_at(x, y).x);
             (x.hypot(y) < rim - 0.08).then_some(red)
         };
-        // Where a ray enters right at a sample, it may start outside by an error of first order: one in a hundred.
+        // Where a ray enters right at a sample, it may start outside by an error of first order:
+        // one in a hundred.
         compare("a lens of glass", &scene_of(root, daylight()), &camera, (0.01, 24), expected);
     }
 }
 
 #[test]
 fn a_right_angled_prism_reflects_all_light_at_its_long_face() {
-    // Legs at z = 0.5, where rays come in, and at x = 0.5, where they go out; the long face is x + z = 0.
+    // Legs at z = 0.5, where rays come in, and at x = 0.5, where they go out; the long face is x +
+    // z = 0.
     let prism = [
         clear(Form::HalfSpace { normal: DVec3::Z, offset: 0.5 }),
         clear(Form::HalfSpace { normal: DVec3::X, offset: 0.5 }),

@@ -65,7 +65,8 @@ fn an_e57_file_that_is_cut_off_or_damaged_is_a_sentence() {
     for name in ["one_scan.e57", "two_scans.e57"] {
         let whole = bytes(name);
         assert_eq!(truncations("p.e57", &whole), [0_usize; 0]);
-        // Every page is read, so every flipped byte is noticed but in pages between a scan and the XML.
+        // Every page is read, so every flipped byte is noticed but in pages between a scan and the
+        // XML.
         let (refused, flipped) = flips("p.e57", &whole, |_| ());
         assert_eq!(refused, flipped, "{name}");
     }

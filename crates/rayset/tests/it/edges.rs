@@ -169,7 +169,8 @@ fn millimetres_at_ten_million_metres_keep_their_shape() {
             }
         }
         assert!(covered > 20, "the ring shows: {covered} pixels");
-        // The reference renderer itself has digits to 2e-9 m there, and samples a hundred times wider apart.
+        // The reference renderer itself has digits to 2e-9 m there, and samples a hundred times
+        // wider apart.
         assert!(wrong <= 4, "{wrong} of 4096 pixels differ ({precision:?})");
     }
 }

@@ -81,8 +81,8 @@ fn a_storage_that_always_fails_gives_up_with_the_reason_and_the_number_of_attemp
     assert_eq!(object.counts().requests, 3);
 }
 
-/// Reads an object that answers at a rate, from so many storages at a time as of so many processes. Returns the requests and the
-/// refusals, and how long it took.
+/// Reads an object that answers at a rate, from so many storages at a time as of so many processes.
+/// Returns the requests and the refusals, and how long it took.
 fn read_at_a_rate(storages: usize, rate: f64) -> (u64, u64, Duration) {
     let content = bytes(300_000);
     let behaviour = Behaviour { latency: Duration::from_millis(5), rate, ..Behaviour::default() };
@@ -227,7 +227,8 @@ fn storages_that_share_a_limit_have_no_more_in_flight_together_and_all_are_serve
     let limit = RequestLimit::new(3, 5000, 7);
     let (flying, most) = (Arc::default(), Arc::<Mutex<(usize, u64)>>::default());
     let mut options = quick();
-    // Requests of 2 000 bytes: of three at a time, the third would be too many bytes. One of 9 000 goes alone.
+    // Requests of 2 000 bytes: of three at a time, the third would be too many bytes. One of 9 000
+    // goes alone.
     options.most_bytes = 2000;
     let storages: Vec<FarStorage> = (0..4)
         .map(|i| {

@@ -20,7 +20,8 @@ fn examples() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples")
 }
 
-/// A folder with all figure scenes and what they name: points of a few radii, so that steps differ between rays.
+/// A folder with all figure scenes and what they name: points of a few radii, so that steps differ
+/// between rays.
 fn prepared() -> tempfile::TempDir {
     let folder = folder();
     for figure in FIGURES {
@@ -85,7 +86,8 @@ fn the_same_whatever_the_means(shadows: Shadows, step_fraction: f64) {
 
 #[test]
 fn figures_with_exact_shadows_are_the_same_whatever_the_means() {
-    // From every sample of a mist rays go to every light: with fewer samples this takes seconds, not minutes.
+    // From every sample of a mist rays go to every light: with fewer samples this takes seconds,
+    // not minutes.
     the_same_whatever_the_means(Shadows::Exact, 1.5);
 }
 

@@ -1,7 +1,8 @@
 //! Files of points that other programs wrote, with what is in them.
 //!
-//! The scripts in `tests/fixtures` write the files, and from the same arrays a table: for each file the positions, some
-//! columns and their units. A key may go on with the types of particles that are asked for.
+//! The scripts in `tests/fixtures` write the files, and from the same arrays a table: for each file
+//! the positions, some columns and their units. A key may go on with the types of particles that
+//! are asked for.
 
 use std::path::{Path, PathBuf};
 
@@ -44,7 +45,8 @@ pub(crate) fn attempt(path: &Path) -> Result<PointBatch, String> {
     read.map_err(|error| error.to_string())
 }
 
-/// The same number: exactly, or for a derived one to nine digits. Integers of 64 bits are compared as such.
+/// The same number: exactly, or for a derived one to nine digits. Integers of 64 bits are compared
+/// as such.
 fn same(found: &Values, index: usize, expected: &Value, derived: bool) -> bool {
     if let (Values::U64(found), Some(expected)) = (found, expected.as_u64()) {
         return found[index] == expected;
@@ -107,8 +109,8 @@ pub(crate) fn check_all(folder: &str) {
     }
 }
 
-/// Reads a file cut off at every `step`th byte, and with each of these bytes changed: nothing panics, and errors are
-/// sentences. Returns how many of the cut files were errors.
+/// Reads a file cut off at every `step`th byte, and with each of these bytes changed: nothing
+/// panics, and errors are sentences. Returns how many of the cut files were errors.
 pub(crate) fn damage(path: &Path, step: usize) -> usize {
     let bytes = std::fs::read(path).expect("a fixture");
     let folder = crate::common::folder();

@@ -1,5 +1,5 @@
-//! Files that other programs' writers made, in `tests/fixtures`, with what is expected of them; and what becomes of them where
-//! they are damaged.
+//! Files that other programs' writers made, in `tests/fixtures`, with what is expected of them; and
+//! what becomes of them where they are damaged.
 
 use std::path::{Path, PathBuf};
 
@@ -25,7 +25,8 @@ fn is_same(found: f64, expected: &serde_json::Value, rounding: f64) -> bool {
     }
 }
 
-/// Checks a file against the JSON of what is expected: positions, and columns with their types, units and numbers.
+/// Checks a file against the JSON of what is expected: positions, and columns with their types,
+/// units and numbers.
 pub(crate) fn check(file: &Path, json: &str) {
     let json = std::fs::read_to_string(path(json)).expect("what is expected");
     let expected: serde_json::Value = serde_json::from_str(&json).expect("JSON");
@@ -99,8 +100,9 @@ pub(crate) fn truncations(name: &str, bytes: &[u8]) -> Vec<usize> {
     (0..bytes.len()).step_by(bytes.len().div_ceil(MOST_PLACES)).filter(unnoticed).collect()
 }
 
-/// Flips bits of every byte of a file, or of many if it is long, one after another, with `mend` making checksums right again.
-/// Whatever comes of it is points or a sentence. Returns of how many bytes that was a sentence, and how many were flipped.
+/// Flips bits of every byte of a file, or of many if it is long, one after another, with `mend`
+/// making checksums right again. Whatever comes of it is points or a sentence. Returns of how many
+/// bytes that was a sentence, and how many were flipped.
 pub(crate) fn flips(name: &str, bytes: &[u8], mend: impl Fn(&mut [u8])) -> (usize, usize) {
     let folder = folder();
     let path = folder.path().join(name);

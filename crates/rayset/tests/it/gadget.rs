@@ -1,4 +1,5 @@
-//! Snapshots in GADGET's binary formats: both formats, both byte orders, several files, and marks that are wrong.
+//! Snapshots in GADGET's binary formats: both formats, both byte orders, several files, and marks
+//! that are wrong.
 
 use rayset::points::{self, ReadOptions};
 
@@ -37,7 +38,8 @@ fn a_record_mark_that_differs_behind_a_block_is_an_error_with_its_place() {
 
 #[test]
 fn damaged_snapshots_of_gadget_are_errors_and_never_panics() {
-    // The two are no longer than their parts, so every shortened one up to its positions is an error.
+    // The two are no longer than their parts, so every shortened one up to its positions is an
+    // error.
     assert!(damage(&fixtures("gadget").join("format1"), 17) > 40);
     assert!(damage(&fixtures("gadget").join("format2_big"), 31) > 40);
 }

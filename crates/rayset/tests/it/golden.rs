@@ -1,6 +1,7 @@
 //! The file format and the look of pictures do not change unnoticed.
 //!
-//! `RAYSET_BLESS=1 cargo test golden` writes the files of this folder anew, for a change that is meant.
+//! `RAYSET_BLESS=1 cargo test golden` writes the files of this folder anew, for a change that is
+//! meant.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -27,7 +28,8 @@ pub(crate) fn expected(name: &str, found: &str) -> String {
     std::fs::read_to_string(golden(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
-/// Lines of an offset and sixteen bytes; those of zeros alone are left out, and the first says how long the file is.
+/// Lines of an offset and sixteen bytes; those of zeros alone are left out, and the first says how
+/// long the file is.
 fn hex_from_bytes(bytes: &[u8]) -> String {
     let mut text = format!("{} bytes\n", bytes.len());
     for (row, line) in bytes.chunks(16).enumerate().filter(|(_, line)| line.iter().any(|&b| b != 0)) {
@@ -106,7 +108,8 @@ fn a_file_written_long_ago_still_opens_and_says_what_its_description_says() {
     assert_eq!(corners, [-1.0, 0.0, -0.5, 1.0, 1.0, 1.0]);
     let (_, columns) = section(b"COLS");
     assert_eq!(u32_at(columns), 3);
-    // Radius, weight and colour have no names, so each takes 24 bytes: role, type, flags, smallest and largest value.
+    // Radius, weight and colour have no names, so each takes 24 bytes: role, type, flags, smallest
+    // and largest value.
     let column = |i: usize| {
         let at = columns + 8 + 24 * i;
         ([bytes[at], bytes[at + 1], bytes[at + 2]], [f64_at(at + 8), f64_at(at + 16)])

@@ -264,7 +264,8 @@ fn attributes_travel_through_operators_as_the_reference_renderer_says() {
         whole.transfers = vec![by_attribute("pressure")[0].clone()];
         check(&format!("two attributes around a {}", operator.name()), &scene(whole, vec![]), 2);
     }
-    // A leaf in its own colours, of which a scalar decides how much is seen; and with shadows of what is seen.
+    // A leaf in its own colours, of which a scalar decides how much is seen; and with shadows of
+    // what is seen.
     let mut leaf = first.clone();
     leaf.transfers = vec![by_attribute("pressure")[0].clone()];
     let down = LightKind::Directional { direction: DVec3::new(0.3, -1.0, -0.4) };
@@ -323,7 +324,8 @@ fn nothing_shows_where_weights_add_up_to_less_than_nothing_whatever_its_attribut
     let mut random = Random(43);
     let (mut position, mut columns) = (Vec::new(), vec![Vec::new(); 3]);
     for i in 0..600 {
-        // Two heaps apart, one of either sign, so that no sum of weights is close to zero by cancellation.
+        // Two heaps apart, one of either sign, so that no sum of weights is close to zero by
+        // cancellation.
         let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
         position.push([sign * (0.4 + 0.6 * random.unit()), 2.0 * random.unit() - 1.0, random.unit()]);
         columns[0].push(0.35);
@@ -334,7 +336,8 @@ fn nothing_shows_where_weights_add_up_to_less_than_nothing_whatever_its_attribut
     let options = BuildOptions { attributes: vec!["heat".into()], ..BuildOptions::default() };
     let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &options);
     let mut leaf = Node::new(Shape::Cloud(look(&cloud, Kernel::Wyvill)));
-    // Transfer functions take effect where the opacity is above 0, and it is 0 where the density is not above 0.
+    // Transfer functions take effect where the opacity is above 0, and it is 0 where the density is
+    // not above 0.
     leaf.transfers = by_attribute("heat").into();
     let scene = scene(leaf, vec![]);
     check("weights of both signs", &scene, 2);
@@ -463,7 +466,8 @@ fn pages_are_asked_for_only_where_they_reach_samples_that_matter() {
     let cloud = build_at(&folder.path().join("c.rset"), workload.source(), &options);
     let cloud =
         Node::new(Shape::Cloud(look(&cloud, Kernel::Wyvill))).moved(DAffine3::from_scale(DVec3::splat(1.6)));
-    // A thin plate: a slab of 32 samples is as deep as the cloud, and one or two of its samples are inside.
+    // A thin plate: a slab of 32 samples is as deep as the cloud, and one or two of its samples are
+    // inside.
     let plate = solid(Form::Box { size: DVec3::new(2.0, 2.0, 0.06) }, [1.0; 3])
         .moved(DAffine3::from_translation(DVec3::new(0.0, 0.0, 0.1)));
     let scene = scene(Node::operator(Operator::Intersection, [cloud.clone(), plate]), vec![]);
@@ -484,7 +488,8 @@ fn pages_are_asked_for_only_where_they_reach_samples_that_matter() {
 
 #[test]
 fn more_solids_than_a_march_remembers_agree_with_the_reference_renderer() {
-    // Faint balls behind each other, so that a packet meets them all; it remembers its way in 64 fields.
+    // Faint balls behind each other, so that a packet meets them all; it remembers its way in 64
+    // fields.
     let ball = |i: u32| {
         let place = DVec3::new(
             f64::from(i % 4) * 0.1 - 0.15,

@@ -76,7 +76,8 @@ impl SwapAxes for DVec3 {
     }
 }
 
-/// Compares a picture with the reference renderer's, pixel by pixel. Returns how many pixels show anything.
+/// Compares a picture with the reference renderer's, pixel by pixel. Returns how many pixels show
+/// anything.
 fn compare(grid: &Arc<Grid>, camera: &Camera, what: &str) -> usize {
     const SIDE: (u32, u32) = (3, 8);
     const STEP: f64 = 0.09;

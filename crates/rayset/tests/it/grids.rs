@@ -93,7 +93,8 @@ fn a_grid_is_the_same_whatever_memory_it_is_built_in() {
         };
         let brick = (kind.brick_voxels().pow(3) * kind.bytes()) as u64;
         let reference = built(kind, 256 << 20).expect("a grid");
-        // Of the least, a brick at a time from the disk; of the next ones, more at a time, and whole rows; then memory.
+        // Of the least, a brick at a time from the disk; of the next ones, more at a time, and
+        // whole rows; then memory.
         for more in [0, 2 * brick, 3 * brick, 4 * brick, 16 * brick] {
             let found = built(kind, needed + more).expect("a grid");
             assert!(found == reference, "{} with {more} bytes more", kind.name());

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-/// The crates of the library, each with those of them that it may use, and its modules: data flows this way, and a module
-/// knows those before it and none behind.
+/// The crates of the library, each with those of them that it may use, and its modules: data flows
+/// this way, and a module knows those before it and none behind.
 const CRATES: [(&str, &[&str], &[&str]); 6] = [
     (
         "rayset-base",
@@ -125,8 +125,9 @@ fn examples_use_the_public_surface_alone() {
 #[test]
 fn the_library_neither_prints_nor_reads_arguments_nor_keeps_global_state() {
     for Source { path, code, .. } in library() {
-        // The hook that keeps panics of decoders quiet is the process's, as hooks are, and asks its own thread.
-        // And who opens addresses is said once in a process, so that every path may be one.
+        // The hook that keeps panics of decoders quiet is the process's, as hooks are, and asks its
+        // own thread. And who opens addresses is said once in a process, so that every path may be
+        // one.
         if [Path::new("points/quiet.rs"), Path::new("storage/address.rs")].contains(&path.as_path()) {
             continue;
         }
@@ -231,4 +232,39 @@ fn long_functions_are_found_whatever_stands_before_them() {
         assert!(long_functions(&text, 6).is_empty(), "{head}");
     }
     assert!(long_functions("fn f() { 1 }\nconst A: [u8; 1] = [\n1,\n2,\n3,\n4,\n5,\n];\n", 5).is_empty());
+}
+
+/// Columns that a comment may reach. Tables are as wide as they are.
+const MOST_COLUMNS: usize = 100;
+
+fn is_wide_comment(line: &str) -> bool {
+    let Some(comment) = line.trim_start().strip_prefix("//") else { return false };
+    let text = comment.trim_start_matches(['/', '!']).trim_start();
+    line.chars().count() > MOST_COLUMNS && !text.starts_with('|')
+}
+
+#[test]
+fn comments_fit_a_hundred_columns() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let mut files = Vec::new();
+    for folder in ["crates", "python/src", "fuzz/src", "fuzz/fuzz_targets", "paper"] {
+        sources(&root.join(folder), &mut files);
+    }
+    files.retain(|path| !path.components().any(|part| part.as_os_str() == "target"));
+    assert!(files.len() > 600, "the sources have moved: {} files", files.len());
+    let mut wide = Vec::new();
+    for path in files {
+        let text = std::fs::read_to_string(&path).expect("a source file");
+        let lines = text.lines().enumerate().filter(|(_, line)| is_wide_comment(line));
+        wide.extend(lines.map(|(number, _)| format!("{}:{}", path.display(), number + 1)));
+    }
+    assert!(wide.is_empty(), "{wide:#?}");
+}
+
+#[test]
+fn wide_comments_are_found_and_tables_are_not() {
+    let words = "word ".repeat(20);
+    assert!(is_wide_comment(&format!("    /// {words}")) && is_wide_comment(&format!("//! {words}")));
+    assert!(!is_wide_comment(&format!("/// | {words}")) && !is_wide_comment(&format!("    let a = {words};")));
+    assert!(!is_wide_comment("// a comment"));
 }

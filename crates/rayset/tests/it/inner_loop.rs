@@ -1,5 +1,5 @@
-//! The inner loop leaves out what changes nothing: samples behind the end of a ray, and points that no ray of a group
-//! comes near.
+//! The inner loop leaves out what changes nothing: samples behind the end of a ray, and points that
+//! no ray of a group comes near.
 
 use std::sync::Arc;
 
@@ -37,7 +37,8 @@ fn with_opacity(cloud: &Arc<Cloud>, kernel: Kernel, opacity: OpacityRule) -> Clo
     CloudObject { transfer: TransferFunction { opacity, ..look.transfer.clone() }, ..look }
 }
 
-/// Pairs of a sample and a point that reaches it, of all samples that rays take, one by one, until they end.
+/// Pairs of a sample and a point that reaches it, of all samples that rays take, one by one, until
+/// they end.
 fn pairs_until_rays_end(cloud: &Cloud, pixels: u32, fovy: f64, kappa: f64, stop: f64) -> u64 {
     let (header, mut points) = (cloud.header(), Vec::new());
     cloud.for_each_run(|_, run| points.extend(run.positions(header.root_cell()))).expect("the cloud reads");
@@ -85,8 +86,8 @@ fn an_opaque_picture_evaluates_few_kernels_that_stopping_sample_by_sample_would_
     let (_, counts) = rendered(&scene_of(object, false), &seen_under(fovy), &settings, (8, 32));
     let needed = pairs_until_rays_end(&cloud, pixels, fovy, kappa, f64::from(settings.stop_transmittance));
     let evaluated = counts.splats.kernel_evaluations;
-    // A point reaches 5.3 samples of a ray on average, which lie in 1.5 blocks of eight; and a ray that ends has taken half
-    // a block too many.
+    // A point reaches 5.3 samples of a ray on average, which lie in 1.5 blocks of eight; and a ray
+    // that ends has taken half a block too many.
     assert!(evaluated >= needed, "{evaluated} evaluations where {needed} are needed");
     assert!(evaluated < 5 * needed, "{evaluated} evaluations where {needed} are needed");
 }

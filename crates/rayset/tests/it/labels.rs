@@ -1,4 +1,5 @@
-//! Grids whose values are labels: counted and named as they are built, never mixed as they are seen.
+//! Grids whose values are labels: counted and named as they are built, never mixed as they are
+//! seen.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! LAS and LAZ against laspy: fixtures of every point format that it wrote, and what it finds in real files.
+//! LAS and LAZ against laspy: fixtures of every point format that it wrote, and what it finds in
+//! real files.
 
 use rayset::points::{self, ReadOptions};
 
@@ -56,7 +57,8 @@ fn las_fixtures_that_are_damaged_are_points_or_a_sentence() {
         let (refused, flipped) = flips(ending, &whole, |_| ());
         assert!(refused > 10 && refused < flipped, "{name}: {refused} of {flipped}");
         let unnoticed = truncations(ending, &whole);
-        // Of compressed points, a table of chunks at the end is not needed if there is a single chunk.
+        // Of compressed points, a table of chunks at the end is not needed if there is a single
+        // chunk.
         assert!(unnoticed.iter().all(|length| whole.len() - length < 32), "{name}: {unnoticed:?}");
     }
 }

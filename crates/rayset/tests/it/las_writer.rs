@@ -41,7 +41,8 @@ pub(crate) enum Chunks {
 }
 
 impl LasFile {
-    /// Random points of a format: neighbours are alike, and every bit of every field is used somewhere.
+    /// Random points of a format: neighbours are alike, and every bit of every field is used
+    /// somewhere.
     pub(crate) fn random(format: u8, count: usize, extra_bytes: usize, seed: u64) -> Self {
         let mut random = Random(seed);
         let mut byte = move || (random.unit() * 256.0) as u8;
@@ -58,7 +59,8 @@ impl LasFile {
             }
             for _ in 0..3 {
                 let at = 12 + (usize::from(byte()) << 8 | usize::from(byte())) % (length - 12);
-                // Compressing wave packets overflows in debug builds of the crate; nothing reads them.
+                // Compressing wave packets overflows in debug builds of the crate; nothing reads
+                // them.
                 if !wave_packet(format).contains(&at) {
                     point[at] = byte();
                 }

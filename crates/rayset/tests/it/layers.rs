@@ -32,7 +32,8 @@ fn angle(a: [f32; 3], b: DVec3) -> f64 {
 #[test]
 fn cut_faces_have_the_cutters_normal_within_five_degrees() {
     let Parts { cloud, _folder, .. } = parts();
-    // A cylinder along the line of sight, its axis through (0.1, 0.05), cuts clouds and solids open.
+    // A cylinder along the line of sight, its axis through (0.1, 0.05), cuts clouds and solids
+    // open.
     let cutter = |radius: f64| {
         solid(Form::Cylinder { radius, height: 4.0 }, [0.2, 0.3, 0.8]).moved(
             DAffine3::from_translation(DVec3::new(0.1, 0.05, 0.0))

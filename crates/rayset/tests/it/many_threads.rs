@@ -1,4 +1,5 @@
-//! What threads have in common: shown by counts, which do not depend on how many processors there are.
+//! What threads have in common: shown by counts, which do not depend on how many processors there
+//! are.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -53,8 +54,9 @@ fn what_threads_have_in_common_does_not_grow_with_their_number() {
     for threads in [2, 16, 64] {
         let many = counts(threads);
         assert_eq!(many.requests, alone.requests, "{threads} threads: requests for pages");
-        // All are woken when the render begins, and later no more of them than there is room for tiles. Those that were woken at the
-        // end of the first picture may count it when the second has begun.
+        // All are woken when the render begins, and later no more of them than there is room for
+        // tiles. Those that were woken at the end of the first picture may count it when the second
+        // has begun.
         let most = threads as u64 + TILES;
         assert!(many.joined <= most && many.woken <= most + threads as u64, "{threads} threads: {many:?}");
         // Three locks a tile and one a request: of all these few are waited for.

@@ -52,7 +52,8 @@ fn a_mesh_gives_the_same_points_in_whatever_format_trimesh_writes_it() {
         let mut opened = MeshSource::open(fixture(name), 300).unwrap_or_else(|e| panic!("{e}"));
         opened.fill(&mut batch, 1000).expect("points");
         assert_eq!(found.position, batch.position, "{name}");
-        // An icosphere of radius 2 with its faces divided once: no point lies deeper than their centres.
+        // An icosphere of radius 2 with its faces divided once: no point lies deeper than their
+        // centres.
         for [x, y, z] in found.position {
             let distance = ((x - 3.0).powi(2) + (y + 1.0).powi(2) + (z - 0.5).powi(2)).sqrt();
             assert!((1.85..2.02).contains(&distance), "{name}: {distance}");
@@ -104,7 +105,8 @@ fn colours_of_vertices_are_interpolated() {
     assert!(source.schema().columns.is_empty());
 }
 
-/// A PLY of a lattice of vertices, two triangles between four; `more` are a property of vertices and its value.
+/// A PLY of a lattice of vertices, two triangles between four; `more` are a property of vertices
+/// and its value.
 fn lattice(side: u32, more: Option<(&str, &str)>) -> String {
     let (name, value) =
         more.map_or((String::new(), ""), |(name, value)| (format!("property {name}\n"), value));
@@ -197,7 +199,8 @@ fn faces_of_obj_have_any_number_of_corners_counted_from_either_end() {
         format!(
             "mtllib a b.mtl\no gr\u{f6}\u{df}e\n{square}vt 0 0\nvn 0 0 1\ng one two\ns off\nusemtl x\nf 1/1/1 2/1/1 3//1 4/1\nl 1 2\n"
         ),
-        // Faces may come first, with a weight behind coordinates, and lines go on behind a backslash.
+        // Faces may come first, with a weight behind coordinates, and lines go on behind a
+        // backslash.
         format!("f 1 2 \\\n3 4\r\n{}", square.replace(" 0\n", " 0 1.0\n")),
     ] {
         assert_eq!(points(text.clone()), expected, "{text}");

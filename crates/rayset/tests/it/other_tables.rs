@@ -1,5 +1,5 @@
-//! Tables as programs write them whose columns have other names, other line ends, other decimal marks, or none of these; and
-//! how columns were read is said.
+//! Tables as programs write them whose columns have other names, other line ends, other decimal
+//! marks, or none of these; and how columns were read is said.
 
 use rayset::points::{self, PointBatch, ReadOptions, Schema};
 

@@ -1,5 +1,6 @@
-//! Volumes that other projects wrote: arrays of NumPy, VTK's legacy files, OpenDX, SLC; and where voxels are in the spaces of
-//! NRRD, NIfTI and MetaImage, beside what these projects' own readers say.
+//! Volumes that other projects wrote: arrays of NumPy, VTK's legacy files, OpenDX, SLC; and where
+//! voxels are in the spaces of NRRD, NIfTI and MetaImage, beside what these projects' own readers
+//! say.
 
 use std::path::Path;
 
@@ -169,13 +170,15 @@ fn data_of_cells_lie_at_their_centres_in_opendx() {
 #[test]
 fn volumes_of_other_writers_that_are_damaged_are_errors() {
     let folder = folder();
-    // Lines that are empty at the end hold no numbers, nor does the rest of OpenDX behind its array.
+    // Lines that are empty at the end hold no numbers, nor does the rest of OpenDX behind its
+    // array.
     let blank: fn(&[u8]) -> bool = |rest| rest.iter().all(u8::is_ascii_whitespace);
     let behind_array: fn(&[u8]) -> bool = |rest| {
         let array_ends = rest.windows(9).position(|part| part == b"attribute");
         array_ends.is_none_or(|end| rest[..end].iter().all(u8::is_ascii_whitespace))
     };
-    // The last number of a text ends with the file, if no white space follows: one that is shortened is a number, too.
+    // The last number of a text ends with the file, if no white space follows: one that is
+    // shortened is a number, too.
     let of_last_number: fn(&[u8]) -> bool = |rest| rest.trim_ascii().iter().all(u8::is_ascii_digit);
     for (name, harmless) in [
         ("c_little_i2.npy", (|_| false) as fn(&[u8]) -> bool),

@@ -1,4 +1,5 @@
-//! Files as many programs write them, which no fixture has: tables without names, scans without headers, degrees.
+//! Files as many programs write them, which no fixture has: tables without names, scans without
+//! headers, degrees.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,5 @@
-//! gzip and zstd around text, PLY, PCD and PTX: recognized, read as what is within, and refused where they are damaged.
+//! gzip and zstd around text, PLY, PCD and PTX: recognized, read as what is within, and refused
+//! where they are damaged.
 
 use std::io::Write;
 use std::path::Path;

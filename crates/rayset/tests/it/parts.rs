@@ -1,4 +1,5 @@
-//! Parts in memory, as a caller of the library has them: rendered into bytes, joined to a picture, stopped, refused.
+//! Parts in memory, as a caller of the library has them: rendered into bytes, joined to a picture,
+//! stopped, refused.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -1,4 +1,5 @@
-//! PTX: scans with poses, directions in which nothing was found, and damaged files. PTS, its sibling without poses.
+//! PTX: scans with poses, directions in which nothing was found, and damaged files. PTS, its
+//! sibling without poses.
 
 use rayset::points::{self, ReadOptions};
 
@@ -46,7 +47,8 @@ fn a_ptx_file_that_is_cut_off_is_a_sentence() {
         .map(|(at, _)| at)
         .collect();
     for length in truncations("p.ptx", &whole) {
-        // Whole scans are a whole file, and a shortened last number is a number; a last colour may go unnoticed, too.
+        // Whole scans are a whole file, and a shortened last number is a number; a last colour may
+        // go unnoticed, too.
         let is_end = ends_of_scans.iter().any(|&end| length <= end + 1 && length + 30 > end);
         assert!(is_end || length + 30 > whole.len(), "cut off at {length} of {}", whole.len());
     }

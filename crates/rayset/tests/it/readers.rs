@@ -31,7 +31,8 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// The same three points in every form of PLY, with a face list before, a list within, and odd types.
+/// The same three points in every form of PLY, with a face list before, a list within, and odd
+/// types.
 fn ply(encoding: &str) -> Vec<u8> {
     let header = format!(
         "ply\nformat {encoding} 1.0\ncomment hello\nelement face 2\nproperty list uchar int vertex_indices\n\

@@ -1,4 +1,5 @@
-//! Files that are not read say what they are and what to do, whether they are recognized by content or by name.
+//! Files that are not read say what they are and what to do, whether they are recognized by content
+//! or by name.
 
 use rayset::points::{self, ReadOptions};
 

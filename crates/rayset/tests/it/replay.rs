@@ -1,5 +1,5 @@
-//! What the fuzzers begin with, and what a few random changes make of it, goes through them on every change. Coverage leads
-//! them further, in `.ci/deep`.
+//! What the fuzzers begin with, and what a few random changes make of it, goes through them on
+//! every change. Coverage leads them further, in `.ci/deep`.
 
 use crate::common::Random;
 use crate::corpus;

@@ -21,8 +21,8 @@ const DENSITY_BOUND: f64 = 1e-4;
 /// Pixels may differ by this in linear light, save for a few.
 const PIXEL_BOUND: f64 = 1.0 / 1024.0;
 
-/// The densities, weighted attributes and normals of all samples of some rays through a cloud about the origin, two of a unit
-/// wide, against the reference renderer.
+/// The densities, weighted attributes and normals of all samples of some rays through a cloud about
+/// the origin, two of a unit wide, against the reference renderer.
 fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
     let header = cloud.header();
     let columns = AttributeColumns {
@@ -122,7 +122,8 @@ fn density_is_right_where_radii_differ_by_a_factor_of_100_000() {
     }
 }
 
-/// Random pixels of a picture against the reference renderer; returns how many of them differ by more than the bound.
+/// Random pixels of a picture against the reference renderer; returns how many of them differ by
+/// more than the bound.
 fn count_wrong_pixels(scene: &Scene, settings: &RenderSettings, step: f64, pixels: usize) -> usize {
     let fast = plain_picture(scene, settings);
     let reference_renderer = ReferenceRenderer::load(scene).expect("it reads");

@@ -1,4 +1,5 @@
-//! Promise 1: the same picture, bit for bit, whatever the memory, threads, predictor, input, tiles, slabs and cache.
+//! Promise 1: the same picture, bit for bit, whatever the memory, threads, predictor, input, tiles,
+//! slabs and cache.
 
 use std::sync::Arc;
 use std::time::Duration;

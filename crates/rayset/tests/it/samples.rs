@@ -1,4 +1,5 @@
-//! Samples of clouds and grids, from which looks are chosen: values that are there, spread over the whole file.
+//! Samples of clouds and grids, from which looks are chosen: values that are there, spread over the
+//! whole file.
 
 use std::sync::Arc;
 

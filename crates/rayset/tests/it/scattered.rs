@@ -1,5 +1,5 @@
-//! Points far apart, far smaller than others, or in one place: what rays do not meet costs them nothing, and the picture is
-//! that of the rule that `docs/scene.md` states.
+//! Points far apart, far smaller than others, or in one place: what rays do not meet costs them
+//! nothing, and the picture is that of the rule that `docs/scene.md` states.
 
 use std::sync::Arc;
 
@@ -45,7 +45,8 @@ fn points_that_differ_by_100_000_cost_a_ray_no_more_than_those_that_it_meets() {
     let folder = folder();
     let cloud = cloud(folder.path(), cube(3000, 3e-6, 0.3, 1));
     let counts = counts(&scene(&cloud, Kernel::Wyvill, true), &settings(32, 32));
-    // A quarter of the finest radius over the whole length of all rays would be 2 500 million samples.
+    // A quarter of the finest radius over the whole length of all rays would be 2 500 million
+    // samples.
     assert!(counts.nonzero_samples > 1024, "{counts:?}");
     assert!(counts.samples < 4_000_000, "{counts:?}");
 }
@@ -142,7 +143,8 @@ fn a_ray_through_scattered_points_steps_by_the_finest_that_it_passes_through() {
 
 #[test]
 fn more_wide_points_than_a_node_keeps_runs_of_by_themselves_are_all_seen() {
-    // More than 512 runs of the root's own, at two ends of the cloud: no run may be taken to lie where others do.
+    // More than 512 runs of the root's own, at two ends of the cloud: no run may be taken to lie
+    // where others do.
     let mut random = Random(6);
     let mut position = Vec::new();
     for _ in 0..70_000 {

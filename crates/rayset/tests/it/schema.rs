@@ -18,8 +18,8 @@ fn read(path: &Path) -> Value {
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Whether a value is as a schema demands, in that part of the language (draft 2020-12) which ours uses. Panics at a word
-/// that it does not know.
+/// Whether a value is as a schema demands, in that part of the language (draft 2020-12) which ours
+/// uses. Panics at a word that it does not know.
 fn fits(schema: &Value, value: &Value, whole: &Value) -> bool {
     let Some(words) = schema.as_object() else { return schema.as_bool().expect("a schema") };
     let number = |v: &Value| v.as_f64().expect("a number");

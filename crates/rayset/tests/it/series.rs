@@ -143,7 +143,8 @@ fn any_volume_of_a_metaimage_of_four_dimensions_is_read_and_which_one_is_said() 
 
 #[test]
 fn any_volume_of_an_array_of_more_than_three_axes_is_read_and_which_one_is_said() {
-    // Two groups of three volumes of 2 × 3 × 5 voxels; the value of each is its place in the order of the axes.
+    // Two groups of three volumes of 2 × 3 × 5 voxels; the value of each is its place in the order
+    // of the axes.
     let shape = [2_usize, 3, 2, 3, 5];
     let in_order: Vec<i16> = (0..180).collect();
     let mut fortran = vec![0_i16; 180];
@@ -193,7 +194,8 @@ fn any_volume_of_an_array_of_more_than_three_axes_is_read_and_which_one_is_said(
     }
 }
 
-/// A rectilinear grid of 3 × 2 × 4 points as one of VTK's legacy files, or in XML, with coordinates of z as given.
+/// A rectilinear grid of 3 × 2 × 4 points as one of VTK's legacy files, or in XML, with coordinates
+/// of z as given.
 fn rectilinear(kind: &str, z: [f32; 4]) -> Vec<u8> {
     let coordinates: [&[f32]; 3] = [&[1.0, 1.5, 2.0], &[3.0, 2.0], &z];
     let values: Vec<f32> = (0..24).map(|i| i as f32 * 0.5).collect();

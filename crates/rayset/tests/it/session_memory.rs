@@ -1,4 +1,5 @@
-//! A session allocates no more than it was given, whatever is rendered: measured as the memory of a process of its own.
+//! A session allocates no more than it was given, whatever is rendered: measured as the memory of a
+//! process of its own.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -26,7 +27,8 @@ fn status(name: &str) -> Option<u64> {
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
 }
 
-/// Bare, with everything that takes memory (shadows from tables, mirrors, glass, layers), and cut, with a cap.
+/// Bare, with everything that takes memory (shadows from tables, mirrors, glass, layers), and cut,
+/// with a cap.
 fn scenes(cloud: &Arc<Cloud>) -> [(Scene, RenderSettings); 3] {
     let bare = scene(cloud, Kernel::Wyvill, true);
     let kind = LightKind::Directional { direction: DVec3::new(0.3, -1.0, -0.4) };
@@ -67,7 +69,8 @@ fn measured(cloud: &Path, times: f64) {
         let view = prepared.view(&camera()).expect("a view");
         let work = Work::tiles(view.tiles(&view.region()));
         view.render(&work, &CancelToken::new(), &mut |_: &FinishedTile<'_>| Ok(())).expect("a picture");
-        // The program's own code, mapped where it is run for the first time, is nothing that the session allocates.
+        // The program's own code, mapped where it is run for the first time, is nothing that the
+        // session allocates.
         let code = status("RssFile").expect("a size").saturating_sub(code_before);
         let took = status("VmHWM").expect("a peak").saturating_sub(before + code);
         assert!(took <= memory, "scene {place}: {took} of {memory} bytes");

@@ -1,5 +1,5 @@
-//! Sessions: scenes that are prepared once and looked at often, tiles in any order, passes, renders side by side,
-//! cancellation.
+//! Sessions: scenes that are prepared once and looked at often, tiles in any order, passes, renders
+//! side by side, cancellation.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -316,7 +316,8 @@ fn a_sink_that_panics_ends_its_render_and_the_session_goes_on() {
     assert!(bits(&view.picture().expect("a picture").pixels) == expected);
 }
 
-/// Cancels a picture at random moments within `longest`. Returns how long each call took to return after that, sorted.
+/// Cancels a picture at random moments within `longest`. Returns how long each call took to return
+/// after that, sorted.
 fn cancelled_at_random(view: &View, times: usize, longest: Duration) -> Vec<Duration> {
     let mut random = Random(3);
     let work = Work::tiles(view.tiles(&view.region()));
@@ -342,8 +343,8 @@ fn cancelled_at_random(view: &View, times: usize, longest: Duration) -> Vec<Dura
     late
 }
 
-/// Other tests keep the processors busy meanwhile: the bounds are wide, and what it takes on a quiet machine stands in
-/// `docs/benchmarks.md`.
+/// Other tests keep the processors busy meanwhile: the bounds are wide, and what it takes on a
+/// quiet machine stands in `docs/benchmarks.md`.
 fn assert_prompt(late: &[Duration]) {
     let (median, most) = (late[late.len() / 2], late[late.len() * 99 / 100]);
     assert!(median < Duration::from_millis(100) && most < Duration::from_secs(1), "{median:?}, {most:?}");

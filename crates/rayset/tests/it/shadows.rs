@@ -213,8 +213,9 @@ fn differences(a: &[[f32; 4]], b: &[[f32; 4]]) -> [f32; 3] {
     [errors.iter().sum::<f32>() / errors.len() as f32, errors[last * 99 / 100], errors[last]]
 }
 
-/// Mean, 99th percentile and largest difference of each kind at 512 rays a side, as `docs/scene.md` tells them, and
-/// rays beside the table, which only solids hold to: every sample of a cloud may lie at an edge.
+/// Mean, 99th percentile and largest difference of each kind at 512 rays a side, as `docs/scene.md`
+/// tells them, and rays beside the table, which only solids hold to: every sample of a cloud may
+/// lie at an edge.
 const FIGURES: [(&str, [f32; 3], u64); 7] = [
     ("rods", [0.000_01, 0.000_1, 0.004], 220),
     ("leaves", [0.000_11, 0.000_1, 0.2], 150),

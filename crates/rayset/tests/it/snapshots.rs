@@ -1,4 +1,5 @@
-//! Snapshots of simulations in HDF5: every column as h5py and numpy see it, radii by each code's convention, several files.
+//! Snapshots of simulations in HDF5: every column as h5py and numpy see it, radii by each code's
+//! convention, several files.
 
 use rayset::points::{self, ColumnType, ReadOptions};
 
@@ -134,7 +135,8 @@ fn a_real_snapshot_has_the_numbers_that_h5py_reads() {
 }
 
 const UNIT: &str = "6.769911178294544e-22 cgs a^-3 h^2";
-/// Sums in double precision by numpy of Density, InternalEnergy, SmoothingLength, the third of Velocities, ParticleIDs.
+/// Sums in double precision by numpy of Density, InternalEnergy, SmoothingLength, the third of
+/// Velocities, ParticleIDs.
 const REAL: [f64; 5] = [
     0.002_218_885_669_306_461_3,
     534_171_608.832_321_17,

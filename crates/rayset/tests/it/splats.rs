@@ -1,4 +1,5 @@
-//! Gaussian splats: what is read of every format, beside what other programs read of the same files, and what is refused.
+//! Gaussian splats: what is read of every format, beside what other programs read of the same
+//! files, and what is refused.
 //!
 //! The fixtures and what they hold are made by `tests/fixtures/make_splats.py`.
 
@@ -157,7 +158,8 @@ fn splats_need_little_memory_however_many_there_are() {
         let needed = source.memory_needed();
         assert!((64 << 10..6 << 20).contains(&needed), "{name}: {needed}");
     }
-    // The window of a zstd stream counts, and one that would take too much is refused before anything is unpacked.
+    // The window of a zstd stream counts, and one that would take too much is refused before
+    // anything is unpacked.
     let mut wide = bytes_of("v4.spz");
     let frame = 32 + 6 * 16;
     assert_eq!(wide[frame..frame + 4], [0x28, 0xb5, 0x2f, 0xfd]);
@@ -190,7 +192,8 @@ fn splat_files_that_end_early_are_errors_wherever_they_end() {
                     assert!(said.contains("byte ") || said.contains("line "), "{said}");
                     assert!(!said.contains("failed to fill"), "{said}");
                 }
-                // Records without a header may end after any of them, and view-dependent colours of PLY are not looked at.
+                // Records without a header may end after any of them, and view-dependent colours of
+                // PLY are not looked at.
                 Ok(found) if name == "records.splat" => assert_eq!(32 * found.0.len(), cut),
                 Ok(found) if name == "packed.compressed.ply" => {
                     assert!(cut >= whole.len() - 9 * 270 && found == all, "{cut}");

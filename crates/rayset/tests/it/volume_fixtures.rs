@@ -90,7 +90,8 @@ pub(crate) fn compare(path: &Path, expected: &Value) {
     }
 }
 
-/// Cuts a file off at every one of its first bytes, which is an error unless `harmless` says so of what is cut off.
+/// Cuts a file off at every one of its first bytes, which is an error unless `harmless` says so of
+/// what is cut off.
 pub(crate) fn cut_off(path: &Path, bytes: &[u8], harmless: fn(&[u8]) -> bool) {
     std::fs::write(path, bytes).expect("a write");
     let file = std::fs::OpenOptions::new().write(true).open(path).expect("it opens");
@@ -101,7 +102,8 @@ pub(crate) fn cut_off(path: &Path, bytes: &[u8], harmless: fn(&[u8]) -> bool) {
     }
 }
 
-/// Flips bits of a file, spread over it and dense at its beginning: an error that is a sentence, or another volume.
+/// Flips bits of a file, spread over it and dense at its beginning: an error that is a sentence, or
+/// another volume.
 pub(crate) fn flipped(path: &Path, bytes: &[u8], flips: usize) {
     std::fs::write(path, bytes).expect("a write");
     let mut file = std::fs::OpenOptions::new().write(true).open(path).expect("it opens");

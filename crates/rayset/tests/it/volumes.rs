@@ -27,8 +27,8 @@ pub(crate) fn gzipped(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().expect("it ends")
 }
 
-/// Builds a file of the given name and bytes. The bytes of the grid, which opens and verifies, or the error's text;
-/// nothing is left then.
+/// Builds a file of the given name and bytes. The bytes of the grid, which opens and verifies, or
+/// the error's text; nothing is left then.
 pub(crate) fn built(folder: &Path, name: &str, bytes: &[u8]) -> Result<Vec<u8>, String> {
     let path = folder.join(name);
     std::fs::write(&path, bytes).expect("a write");
@@ -91,7 +91,8 @@ fn nifti() -> Vec<u8> {
     head
 }
 
-/// The same voxels, with spacings of 1, 2 and 3, in every compressed form: name, bytes before the data, data, checksum's.
+/// The same voxels, with spacings of 1, 2 and 3, in every compressed form: name, bytes before the
+/// data, data, checksum's.
 fn compressed() -> Vec<(&'static str, Vec<u8>, Vec<u8>, usize)> {
     let table: Vec<u8> = blocks(&voxels(), 50, 4);
     let appended = vti("format=\"appended\" offset=\"0\"/>", " compressor=\"vtkZLibDataCompressor\"", "raw");
@@ -115,7 +116,8 @@ fn every_flipped_bit_of_compressed_voxels_is_noticed_or_changes_nothing() {
             flipped[bit / 8] ^= 1 << (bit % 8);
             let outcome = built(folder.path(), name, &[&head[..], &flipped].concat());
             all += 1;
-            // Flags and times of a gzip header, and bits between the last symbol and the checksum, say nothing.
+            // Flags and times of a gzip header, and bits between the last symbol and the checksum,
+            // say nothing.
             harmless += usize::from(outcome.is_ok());
             assert!(outcome.is_err() || bit / 8 < data.len() - checksum, "{name}: bit {bit} of the checksum");
             assert!(outcome.is_err() || outcome == Ok(whole.clone()), "{name}: bit {bit} changed the grid");

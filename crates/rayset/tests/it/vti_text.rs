@@ -24,8 +24,9 @@ pub(crate) fn base64(bytes: &[u8]) -> String {
     text
 }
 
-/// A file of 5 × 4 × 3 voxels of 16 bits with spacings of 1, 2 and 3. `array` ends the start of its array, and holds its
-/// text and end if it has any; `file` is more that the file says of itself. With an encoding the appended data follow.
+/// A file of 5 × 4 × 3 voxels of 16 bits with spacings of 1, 2 and 3. `array` ends the start of its
+/// array, and holds its text and end if it has any; `file` is more that the file says of itself.
+/// With an encoding the appended data follow.
 pub(crate) fn vti(array: &str, file: &str, encoding: &str) -> String {
     let head = format!(
         "<?xml version=\"1.0\"?>\n<VTKFile type=\"ImageData\" version=\"1.0\" byte_order=\"LittleEndian\"{file}>\n\

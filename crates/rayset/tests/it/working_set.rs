@@ -141,7 +141,8 @@ fn what_is_retired_goes_first_and_then_the_least_recently_used() {
     assert_eq!(resident(&object, 20), [5, 7, 9, 10], "a page that is used again is retired no more");
 }
 
-/// Which page goes is what a list in the order of uses says, whatever was asked for in whatever order.
+/// Which page goes is what a list in the order of uses says, whatever was asked for in whatever
+/// order.
 #[test]
 fn eviction_follows_the_order_of_uses_exactly_where_pages_are_few() {
     let (_set, client, object, _) = set(Numbers::new(40), pages(12));
@@ -162,7 +163,8 @@ fn eviction_follows_the_order_of_uses_exactly_where_pages_are_few() {
     }
 }
 
-/// Rounds of slabs that go through five pages each, of which the next slab needs the last two again.
+/// Rounds of slabs that go through five pages each, of which the next slab needs the last two
+/// again.
 #[test]
 fn rounds_that_need_more_pages_than_fit_keep_pages_from_round_to_round() {
     for (all, fit) in [(32, 16), (400, 200)] {
@@ -182,7 +184,8 @@ fn rounds_that_need_more_pages_than_fit_keep_pages_from_round_to_round() {
             set.statistics().total(|kind| kind.reads)
         };
         let reads: Vec<u64> = std::iter::repeat_with(reads_of_round).take(8).collect();
-        // The first rounds show what a round needs. Then those that do not fit are read, and a few that gave way to them.
+        // The first rounds show what a round needs. Then those that do not fit are read, and a few
+        // that gave way to them.
         let most = u64::from(all) - fit + 8;
         assert!(reads[3..].iter().all(|&reads| reads <= most), "{fit} of {all}: {reads:?}, at most {most}");
     }
@@ -241,7 +244,8 @@ fn a_wait_ends_when_its_client_is_cancelled_and_the_set_serves_others() {
         started.elapsed()
     };
     std::thread::scope(|scope| {
-        // One waits for its read, which takes over a second more, the other for the room of the page that is being read.
+        // One waits for its read, which takes over a second more, the other for the room of the
+        // page that is being read.
         let threads = [0, 1].map(|page| scope.spawn(move || waits(page)));
         std::thread::sleep(Duration::from_millis(200));
         cancel.cancel();

@@ -1,4 +1,5 @@
-//! Mistakes in scene files, and what is said of each: a golden file of messages that a newcomer can act on.
+//! Mistakes in scene files, and what is said of each: a golden file of messages that a newcomer can
+//! act on.
 
 use std::fmt::Write as _;
 use std::path::Path;

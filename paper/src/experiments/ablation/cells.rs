@@ -1,4 +1,5 @@
-//! Octants against cells of a k-d tree split at the median, over points of one radius and of several.
+//! Octants against cells of a k-d tree split at the median, over points of one radius and of
+//! several.
 
 use std::cell::RefCell;
 use std::time::Instant;

@@ -1,4 +1,5 @@
-//! The reference engine with one thing changed at a time, on the simulated disk and on that of this machine.
+//! The reference engine with one thing changed at a time, on the simulated disk and on that of this
+//! machine.
 
 use std::time::Instant;
 
@@ -168,8 +169,9 @@ struct OnDisk {
     stalled: f64,
 }
 
-/// Medians on the disk there is, of runs that take turns, so that what else the machine does meets all alike. Nothing for
-/// changes of the file cache: that of the system at hand is not ours to limit.
+/// Medians on the disk there is, of runs that take turns, so that what else the machine does meets
+/// all alike. Nothing for changes of the file cache: that of the system at hand is not ours to
+/// limit.
 fn on_disk(
     subject: &Subject,
     index: &Index,
@@ -210,7 +212,8 @@ fn real(
     Ok(OnDisk { seconds, stalled: records.stalled_nanoseconds() as f64 * 1e-9 / seconds })
 }
 
-/// The point controller while points are streamed, with and without its predictor of regular accesses.
+/// The point controller while points are streamed, with and without its predictor of regular
+/// accesses.
 pub(super) fn streaming(setting: &Setting) -> Result<()> {
     let points = setting.pick(20_000, 1_000_000);
     let folder = setting.work.join("streaming");

@@ -1,5 +1,5 @@
-//! Fig. 8 on the disk there is, for both engines: each run in a process of its own under a hard cap on memory, page cache
-//! cold and counted.
+//! Fig. 8 on the disk there is, for both engines: each run in a process of its own under a hard cap
+//! on memory, page cache cold and counted.
 
 mod reference;
 mod shipping;

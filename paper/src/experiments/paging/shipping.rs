@@ -7,7 +7,8 @@ use super::super::{Setting, Subject};
 use super::{CAP_BYTES, LONG, STOPPED_AT, capped_seconds, in_turn, left_out, ratio, shown};
 use crate::report::{Series, Table, megabytes, number, plot};
 
-/// What the process takes beside pages is under 8 MB; this is room for what else is counted in its group.
+/// What the process takes beside pages is under 8 MB; this is room for what else is counted in its
+/// group.
 const BESIDE_PAGES_BYTES: u64 = 10 << 20;
 
 const TITLE: &str = "Paging on this machine's disk, under a cap of 32 MiB: the engine that ships";

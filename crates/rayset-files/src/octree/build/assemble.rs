@@ -1,7 +1,8 @@
-//! Lays out runs and nodes in pages, in file order; then writes the header and gives the file its name.
+//! Lays out runs and nodes in pages, in file order; then writes the header and gives the file its
+//! name.
 //!
-//! Nodes are stored in the order in which they are finished: every group of siblings comes after all its descendants, so
-//! that references only point backwards.
+//! Nodes are stored in the order in which they are finished: every group of siblings comes after
+//! all its descendants, so that references only point backwards.
 
 use std::io::{self, BufWriter, Cursor, Seek, Write};
 use std::path::{Path, PathBuf};
@@ -243,7 +244,8 @@ impl Assembler {
         Ok(place)
     }
 
-    /// Writes the node page to the spill. Its page number is only known at the end, so it is sealed then.
+    /// Writes the node page to the spill. Its page number is only known at the end, so it is sealed
+    /// then.
     fn finish_node_page(&mut self) -> Result<(), BuildError> {
         self.node_page[..4].copy_from_slice(&(self.nodes_in_page as u32).to_le_bytes());
         let at = u64::from(self.node_pages) * self.page_bytes as u64;

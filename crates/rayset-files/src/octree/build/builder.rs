@@ -44,7 +44,8 @@ impl<'a> CloudBuilder<'a> {
         Self { control, ..self }
     }
 
-    /// Builds the cloud in memory. No file is created; the cloud is the same, byte for byte, as one that is built into a file.
+    /// Builds the cloud in memory. No file is created; the cloud is the same, byte for byte, as one
+    /// that is built into a file.
     ///
     /// # Errors
     /// [`BuildError`].

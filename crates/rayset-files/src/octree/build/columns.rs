@@ -34,8 +34,8 @@ pub(super) struct ColorOrigin {
     pub(super) family: u8,
 }
 
-/// The rule for radii: the one in the options, otherwise the column `radius` if every source has one, otherwise
-/// [`Rule::Auto`].
+/// The rule for radii: the one in the options, otherwise the column `radius` if every source has
+/// one, otherwise [`Rule::Auto`].
 pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Rule {
     match &options.radius {
         Some(rule) => rule.clone(),
@@ -44,7 +44,8 @@ pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource
     }
 }
 
-/// The rule for weights: the one in the options, otherwise the column `weight` if every source has one, otherwise 1.
+/// The rule for weights: the one in the options, otherwise the column `weight` if every source has
+/// one, otherwise 1.
 pub(super) fn weight_rule(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Rule {
     match &options.weight {
         Some(rule) => rule.clone(),
@@ -93,8 +94,8 @@ impl Columns {
         Ok(Self { layout, names, radius, weight, attributes, infos })
     }
 
-    /// The columns to select of source `input`, and where in its batches colours are, if the records have any. Those in
-    /// `names` come first, in their order.
+    /// The columns to select of source `input`, and where in its batches colours are, if the
+    /// records have any. Those in `names` come first, in their order.
     pub(super) fn selection(&self, schema: &Schema, input: usize) -> (Vec<usize>, Option<ColorOrigin>) {
         let mut selected: Vec<usize> = self.names.iter().filter_map(|name| schema.find(name)).collect();
         if !self.layout.has_color {
@@ -125,7 +126,8 @@ fn colors(schema: &Schema) -> Option<[usize; 3]> {
     Some([red?, green?, blue?])
 }
 
-/// A column as it is stored: of the common type of all sources, and with their unit if it is the same for all.
+/// A column as it is stored: of the common type of all sources, and with their unit if it is the
+/// same for all.
 fn common(name: &str, sources: &[Box<dyn PointSource + '_>]) -> ColumnInfo {
     let infos: Vec<&ColumnInfo> = sources
         .iter()

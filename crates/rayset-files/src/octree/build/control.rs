@@ -17,7 +17,8 @@ pub enum Stage {
 
 /// Receives progress reports of a build. Called from one thread at a time.
 pub trait Progress: Sync {
-    /// `done` of `total` points (slices of voxels for a grid) have passed a stage; `total` is 0 if unknown.
+    /// `done` of `total` points (slices of voxels for a grid) have passed a stage; `total` is 0 if
+    /// unknown.
     fn update(&self, stage: Stage, done: u64, total: u64);
 }
 
@@ -35,11 +36,12 @@ impl Progress for NoProgress {
 pub struct BuildControl<'a> {
     /// Receives the progress reports.
     pub progress: &'a dyn Progress,
-    /// Cancels the build, which then returns [`BuildError::Cancelled`](super::BuildError::Cancelled) and leaves no file
-    /// behind.
+    /// Cancels the build, which then returns
+    /// [`BuildError::Cancelled`](super::BuildError::Cancelled) and leaves no file behind.
     pub cancel: CancelToken,
-    /// Is asked, of an input that turns out to be damaged, whether the build goes on without any of its points. It is given the
-    /// index of the source and its error. If `None`, and in builds in parts, the first damaged input ends the build.
+    /// Is asked, of an input that turns out to be damaged, whether the build goes on without any of
+    /// its points. It is given the index of the source and its error. If `None`, and in builds in
+    /// parts, the first damaged input ends the build.
     #[expect(clippy::type_complexity, reason = "a name of its own would be one more in the public surface")]
     pub leaves_out: Option<&'a (dyn Fn(usize, &ReadError) -> bool + Sync)>,
 }

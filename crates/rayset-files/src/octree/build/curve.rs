@@ -1,7 +1,8 @@
 //! Records along the Hilbert curve, and the distances of their points to their neighbours.
 //!
-//! Points with equal coordinates are one place. Their records follow each other, for records of one Hilbert code are sorted by
-//! their bytes, and those begin with the coordinates. Only the first record of a place counts as a neighbour.
+//! Points with equal coordinates are one place. Their records follow each other, for records of one
+//! Hilbert code are sorted by their bytes, and those begin with the coordinates. Only the first
+//! record of a place counts as a neighbour.
 
 use std::ops::Range;
 
@@ -15,7 +16,8 @@ use super::typical::Measured;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::spill::Spill;
 
-/// Chosen by measurement (docs/benchmarks.md, "Automatic radii"): a compromise of a thin surface and one without pores.
+/// Chosen by measurement (docs/benchmarks.md, "Automatic radii"): a compromise of a thin surface
+/// and one without pores.
 const RADII_PER_DISTANCE: f64 = 0.85;
 /// Number of records that share a box, if there is memory for so many boxes.
 pub(super) const GRAIN: u64 = 256;
@@ -29,8 +31,8 @@ pub(super) fn most_boxes(memory_bytes: u64) -> usize {
     memory_bytes as usize / 16 / size_of::<Aabb>()
 }
 
-/// Records that share a Hilbert code, which happens where a cloud is a million times as wide as a part of it, or where many
-/// points coincide.
+/// Records that share a Hilbert code, which happens where a cloud is a million times as wide as a
+/// part of it, or where many points coincide.
 #[derive(Clone)]
 pub(super) struct Crowd {
     pub(super) records: Range<u64>,
@@ -80,7 +82,8 @@ struct BlockRadii {
     times: u64,
 }
 
-/// What is kept of records in the order of the curve: boxes around each `grain` of them, and crowds.
+/// What is kept of records in the order of the curve: boxes around each `grain` of them, and
+/// crowds.
 pub(super) struct Sketch {
     keys: KeyMaker,
     /// The records with the latest code.
@@ -95,7 +98,8 @@ pub(super) struct Sketch {
 }
 
 impl Sketch {
-    /// Boxes are of `grain` records at first, and of twice as many whenever there would be more than `most_boxes`.
+    /// Boxes are of `grain` records at first, and of twice as many whenever there would be more
+    /// than `most_boxes`.
     pub(super) fn new(keys: KeyMaker, grain: u64, most_boxes: usize) -> Self {
         let (latest, place) = (Crowd::new(0..0, Aabb::EMPTY, 0), None);
         Self { keys, latest, place, crowds: Vec::new(), count: 0, boxes: Vec::new(), grain, most_boxes }
@@ -126,7 +130,8 @@ impl Sketch {
         self.latest.bounds.include(position);
     }
 
-    /// Ends the records with the latest code, which are a crowd if their places are many, or they are many at one place.
+    /// Ends the records with the latest code, which are a crowd if their places are many, or they
+    /// are many at one place.
     pub(super) fn end_crowd(&mut self) {
         let ended = std::mem::replace(&mut self.latest, Crowd::new(0..0, Aabb::EMPTY, 0));
         let records = ended.records.end - ended.records.start;
@@ -147,7 +152,8 @@ pub(super) struct Boxes {
 }
 
 impl Boxes {
-    /// Appends the boxes of `count` records, each of `grain` of them, which is the same for all stretches.
+    /// Appends the boxes of `count` records, each of `grain` of them, which is the same for all
+    /// stretches.
     pub(super) fn push(&mut self, boxes: &[Aabb], grain: u64, count: u64) {
         self.stretches.push((self.boxes.len(), self.count));
         self.boxes.extend_from_slice(boxes);
@@ -161,7 +167,8 @@ impl Boxes {
         (bounds.min == bounds.max).then_some(bounds.min)
     }
 
-    /// Whether no place begins in a box, because all of its records and those of the box before are at one place.
+    /// Whether no place begins in a box, because all of its records and those of the box before are
+    /// at one place.
     fn goes_on(&self, number: usize) -> bool {
         let before = number.checked_sub(1).and_then(|before| self.only_place(before));
         before.is_some() && before == self.only_place(number)
@@ -186,7 +193,8 @@ pub(super) struct Curve<'a> {
     pub(super) boxes: Boxes,
 }
 
-/// Crowds and what lies between them, within a range, of blocks of at most `block` records; and the number of blocks.
+/// Crowds and what lies between them, within a range, of blocks of at most `block` records; and the
+/// number of blocks.
 fn sections(crowds: &[Crowd], range: &Range<u64>, block: u64) -> (Vec<Section>, u64) {
     let (mut sections, mut blocks, mut at) = (Vec::new(), 0, range.start);
     let mut add = |records: Range<u64>, way: Way| {
@@ -209,8 +217,9 @@ fn sections(crowds: &[Crowd], range: &Range<u64>, block: u64) -> (Vec<Section>, 
 }
 
 impl Curve<'_> {
-    /// Measures the radii that the neighbours of the records of a range suggest, 0 where they suggest none. `store` is given
-    /// those of some records, by any thread; then `pass` is, in the order of the curve. No crowd may be partly in the range.
+    /// Measures the radii that the neighbours of the records of a range suggest, 0 where they
+    /// suggest none. `store` is given those of some records, by any thread; then `pass` is, in the
+    /// order of the curve. No crowd may be partly in the range.
     pub(super) fn measure(
         &self,
         context: &Context<'_>,
@@ -220,7 +229,8 @@ impl Curve<'_> {
         mut pass: impl FnMut(&[f64]) -> Result<(), BuildError>,
     ) -> Result<Measured, BuildError> {
         let threads = context.options.threads.max(1);
-        // A block needs memory for its records, their positions and distances, and as much again for records elsewhere.
+        // A block needs memory for its records, their positions and distances, and as much again
+        // for records elsewhere.
         let per_record = (self.stride + 24 + 8 * 9 + 16 + 12) as u64;
         let block = context.options.memory_bytes / 3 / (threads as u64 + 2) / per_record;
         let block = block.clamp(512, MOST_IN_BLOCK) / STRETCH as u64 * STRETCH as u64;
@@ -294,7 +304,8 @@ impl Curve<'_> {
         Ok(BlockRadii { of_records, of_places, times: 1 })
     }
 
-    /// Looks for neighbours outside of the block that is searched for. `continued` is its first place, if that began before.
+    /// Looks for neighbours outside of the block that is searched for. `continued` is its first
+    /// place, if that began before.
     fn search_elsewhere(
         &self,
         context: &Context<'_>,
@@ -340,7 +351,8 @@ impl Curve<'_> {
         Ok(())
     }
 
-    /// Reads records, and passes on the number and the position of each, and whether a place begins with it.
+    /// Reads records, and passes on the number and the position of each, and whether a place begins
+    /// with it.
     fn each(
         &self,
         context: &Context<'_>,

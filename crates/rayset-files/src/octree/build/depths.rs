@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 
 use crate::points::{ColorDepth, ColumnType, Schema};
 
-/// What is known of colours before they are scaled: of each source that does not state a depth its largest value, and the
-/// distribution of the intensities of points without colours.
+/// What is known of colours before they are scaled: of each source that does not state a depth its
+/// largest value, and the distribution of the intensities of points without colours.
 ///
-/// The depth of a source is decided by its own values. Two kinds of values decide nothing, and take the depth that most of the
-/// other sources of the same type of numbers have: whole numbers up to 1, which are dark colours of any depth, and nothing
-/// but 0, which is no colour at all where other sources have one.
+/// The depth of a source is decided by its own values. Two kinds of values decide nothing, and take
+/// the depth that most of the other sources of the same type of numbers have: whole numbers up to
+/// 1, which are dark colours of any depth, and nothing but 0, which is no colour at all where other
+/// sources have one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Depths {
     /// By the number of the source.
@@ -60,7 +61,8 @@ impl Depths {
         }
     }
 
-    /// The type of the colours of a source: 0 for integers, 1 for single and 2 for double precision.
+    /// The type of the colours of a source: 0 for integers, 1 for single and 2 for double
+    /// precision.
     pub(super) fn family(schema: &Schema) -> u8 {
         match schema.find("red").map(|index| schema.columns[index].kind) {
             Some(ColumnType::F32) => 1,
@@ -83,7 +85,8 @@ impl Depths {
         }
     }
 
-    /// Includes a point without a colour. Returns the number that denotes how it is shown, and the value to keep of it.
+    /// Includes a point without a colour. Returns the number that denotes how it is shown, and the
+    /// value to keep of it.
     pub(super) fn include_colorless(&mut self, intensity: Option<f32>) -> (u32, f32) {
         match intensity.filter(|value| value.is_finite()) {
             Some(value) => {
@@ -165,7 +168,8 @@ impl Depths {
         ((1.0 / (white - black)) as f32, (-black / (white - black)) as f32)
     }
 
-    /// What to say of colours: sources of different depths, and points without colours among others.
+    /// What to say of colours: sources of different depths, and points without colours among
+    /// others.
     pub(super) fn remarks(&self) -> Vec<String> {
         let mut remarks = Vec::new();
         let mut sources = [0_u64; 3];

@@ -35,8 +35,8 @@ impl Quantity {
         }
     }
 
-    /// A better value of the option than `present`: a power of ten that brings `farthest` well into range. `None` if there
-    /// is none.
+    /// A better value of the option than `present`: a power of ten that brings `farthest` well into
+    /// range. `None` if there is none.
     pub(super) fn factor(self, farthest: f64, present: f64) -> Option<f64> {
         let exponent = (farthest / present).log10();
         let by = if self == Self::SmallRadius { -6.0 - exponent.floor() } else { 6.0 - exponent.ceil() };
@@ -83,7 +83,8 @@ fn list(numbers: &[u32]) -> String {
     format!("{}{more}", named.join(", "))
 }
 
-/// Why a build failed. An existing file at the path of the output is unchanged, and no other is left there.
+/// Why a build failed. An existing file at the path of the output is unchanged, and no other is
+/// left there.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BuildError {
@@ -103,7 +104,8 @@ pub enum BuildError {
     /// The output cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// A source returned a batch that does not match the selected columns, which is a defect of the source.
+    /// A source returned a batch that does not match the selected columns, which is a defect of the
+    /// source.
     #[error(
         "input {input} handed out a batch of {columns} columns where {selected} were selected, or of columns that are not \
          as long as its positions"

@@ -1,4 +1,5 @@
-//! The first pass: every record is read once, checked, and written to a temporary file with the data that later passes need.
+//! The first pass: every record is read once, checked, and written to a temporary file with the
+//! data that later passes need.
 
 use super::columns::{ColorOrigin, Columns};
 use super::context::Context;
@@ -181,7 +182,8 @@ struct Tally<'a> {
 }
 
 impl Tally<'_> {
-    /// Counts the records of a batch, of which the first has this input and index, and hands on those that are valid.
+    /// Counts the records of a batch, of which the first has this input and index, and hands on
+    /// those that are valid.
     fn take(
         &mut self,
         batch: &PointBatch,

@@ -1,9 +1,9 @@
 //! Building a cloud from points, in bounded memory.
 //!
-//! [`run`] gives the overview: records are read and checked (`ingest`), given a radius if they have none (`spacing`), sorted
-//! into file order in buckets that fit in memory (`partition`), turned into runs and nodes (`subtree`), and laid out in
-//! pages (`assemble`). The result depends only on the input and on [`BuildOptions`] other than `memory_bytes`, `threads` and
-//! `temp_dir`.
+//! [`run`] gives the overview: records are read and checked (`ingest`), given a radius if they have
+//! none (`spacing`), sorted into file order in buckets that fit in memory (`partition`), turned
+//! into runs and nodes (`subtree`), and laid out in pages (`assemble`). The result depends only on
+//! the input and on [`BuildOptions`] other than `memory_bytes`, `threads` and `temp_dir`.
 
 mod assemble;
 mod builder;
@@ -63,8 +63,8 @@ pub struct BuildReport {
     pub remarks: Vec<String>,
 }
 
-/// Builds one cloud from all `sources`, in memory. No file is created; the cloud is the same, byte for byte, as one that is
-/// built into a file.
+/// Builds one cloud from all `sources`, in memory. No file is created; the cloud is the same, byte
+/// for byte, as one that is built into a file.
 ///
 /// # Errors
 /// [`BuildError`].

@@ -1,8 +1,9 @@
 //! Distances to k-th nearest neighbours among points in Hilbert order.
 //!
-//! Consecutive points are close to each other, so boxes around short stretches of them serve as a search tree. Points are
-//! queried a stretch at a time: the stretches beside it bound the distances, and then only those count whose boxes are nearer
-//! than that. Results are exact, so they do not depend on how points were cut into stretches.
+//! Consecutive points are close to each other, so boxes around short stretches of them serve as a
+//! search tree. Points are queried a stretch at a time: the stretches beside it bound the
+//! distances, and then only those count whose boxes are nearer than that. Results are exact, so
+//! they do not depend on how points were cut into stretches.
 
 use rayset_base::geometry::{Aabb, DVec3};
 
@@ -11,7 +12,8 @@ pub(super) const STRETCH: usize = 32;
 /// The neighbour whose distance is measured; a point is its own neighbour 0.
 pub(super) const NEIGHBOUR: usize = 8;
 
-/// Squared distances of one point to the nearest points found so far, itself included, in ascending order.
+/// Squared distances of one point to the nearest points found so far, itself included, in ascending
+/// order.
 type Nearest = [f64; NEIGHBOUR + 1];
 
 /// Points in Hilbert order, no two of which coincide, and boxes around stretches of them.
@@ -75,13 +77,14 @@ impl Stretches {
 pub(super) struct Search<'a> {
     queries: &'a Stretches,
     nearest: Vec<Nearest>,
-    /// For each stretch, the largest squared distance at which a neighbour of one of its points may still be found.
+    /// For each stretch, the largest squared distance at which a neighbour of one of its points may
+    /// still be found.
     reach: Vec<f64>,
 }
 
 impl<'a> Search<'a> {
-    /// Finds the neighbours among the points themselves. `go_on` is asked before each stretch; once it says no, the rest is
-    /// left out.
+    /// Finds the neighbours among the points themselves. `go_on` is asked before each stretch; once
+    /// it says no, the rest is left out.
     pub(super) fn among(queries: &'a Stretches, go_on: impl Fn() -> bool) -> Self {
         let nearest = vec![[f64::INFINITY; NEIGHBOUR + 1]; queries.len()];
         let mut search = Self { queries, nearest, reach: vec![f64::INFINITY; queries.boxes.len()] };
@@ -105,7 +108,8 @@ impl<'a> Search<'a> {
         search
     }
 
-    /// Adds stretches of `others` to the neighbours of the points of a stretch, where they are near enough.
+    /// Adds stretches of `others` to the neighbours of the points of a stretch, where they are near
+    /// enough.
     fn visit(&mut self, stretch: usize, others: &Stretches, candidates: &[usize]) {
         let mut reach = 0.0_f64;
         for i in self.queries.points(stretch) {
@@ -142,7 +146,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The box of all points, and the largest squared distance at which a neighbour may still be found.
+    /// The box of all points, and the largest squared distance at which a neighbour may still be
+    /// found.
     pub(super) fn extent(&self) -> (Aabb, f64) {
         let bounds = self.queries.boxes.iter().fold(Aabb::EMPTY, |all, one| all.union(*one));
         (bounds, self.reach.iter().fold(0.0, |a: f64, &b| a.max(b)))

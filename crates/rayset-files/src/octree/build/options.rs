@@ -22,14 +22,14 @@ pub enum Rule {
 
 /// What to do with records whose position, radius or weight cannot be used.
 ///
-/// A record is invalid if a coordinate is not finite, its radius is not a positive number, or its weight is not finite.
-/// Coordinates, radii and weights whose absolute value exceeds 1e18, and radii below 1e-18, are out of range: they cannot be
-/// stored.
+/// A record is invalid if a coordinate is not finite, its radius is not a positive number, or its
+/// weight is not finite. Coordinates, radii and weights whose absolute value exceeds 1e18, and
+/// radii below 1e-18, are out of range: they cannot be stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum InvalidPolicy {
-    /// Count and skip invalid records. If any record is out of range, fail with an error that states a scale factor that
-    /// brings it into range.
+    /// Count and skip invalid records. If any record is out of range, fail with an error that
+    /// states a scale factor that brings it into range.
     #[default]
     Skip,
     /// Count and skip invalid records and those out of range.
@@ -49,7 +49,8 @@ pub enum Precision {
 }
 
 impl Default for Precision {
-    /// 1/4096 of the radius: the error of the density is about 1e-5 of its maximum where supports overlap.
+    /// 1/4096 of the radius: the error of the density is about 1e-5 of its maximum where supports
+    /// overlap.
     fn default() -> Self {
         Self::Relative(1.0 / 4096.0)
     }
@@ -59,7 +60,8 @@ impl Default for Precision {
 #[derive(Clone, Debug)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct BuildOptions {
-    /// Radius of influence. `None`: the column `radius` if every input has one, otherwise [`Rule::Auto`].
+    /// Radius of influence. `None`: the column `radius` if every input has one, otherwise
+    /// [`Rule::Auto`].
     pub radius: Option<Rule>,
     /// Scale factor for every radius, whatever `radius` is.
     pub radius_scale: f64,
@@ -71,14 +73,15 @@ pub struct BuildOptions {
     pub weight_scale: f64,
     /// Names of further columns to store.
     pub attributes: Vec<String>,
-    /// Whether to store colours if an input has them. Points without a colour are then grey by their intensity, or grey.
+    /// Whether to store colours if an input has them. Points without a colour are then grey by
+    /// their intensity, or grey.
     pub keep_color: bool,
     /// What to do with invalid records.
     pub invalid: InvalidPolicy,
     /// How exactly to store positions.
     pub precision: Precision,
-    /// Size of a page in bytes, a multiple of 4096 from 16384 to 262144. `None`: 32768, or 16384 for fewer than 500 000
-    /// points, or more if a run with all columns needs it.
+    /// Size of a page in bytes, a multiple of 4096 from 16384 to 262144. `None`: 32768, or 16384
+    /// for fewer than 500 000 points, or more if a run with all columns needs it.
     pub page_bytes: Option<u32>,
     /// Memory budget for rendering in bytes, stored in the file as a default.
     pub render_memory: Option<u64>,
@@ -128,7 +131,8 @@ impl Default for BuildOptions {
     }
 }
 
-/// Memory in bytes that the first pass needs besides its sources: a batch of points and a buffer of records.
+/// Memory in bytes that the first pass needs besides its sources: a batch of points and a buffer of
+/// records.
 const READING_BYTES: u64 = 6 << 20;
 
 /// Largest number of threads, more than any machine has processors.
@@ -156,7 +160,8 @@ pub(super) fn check_resources(options: &BuildOptions, least_bytes: u64) -> Resul
     Ok(())
 }
 
-/// Memory in bytes that the sources need. One is read after another, before anything else needs much memory; the others are idle.
+/// Memory in bytes that the sources need. One is read after another, before anything else needs
+/// much memory; the others are idle.
 fn reading_bytes(sources: &[Box<dyn PointSource + '_>]) -> u64 {
     let idle: u64 = sources.iter().map(|source| source.memory_idle()).sum();
     let more = sources.iter().map(|source| source.memory_needed().saturating_sub(source.memory_idle()));

@@ -1,7 +1,9 @@
-//! Sorting more records than fit in memory: count, plan, scatter into buckets, and sort each bucket in memory.
+//! Sorting more records than fit in memory: count, plan, scatter into buckets, and sort each bucket
+//! in memory.
 //!
-//! A stretch that is too large for memory is partitioned again: a subtree by the same scheme from its own cell down, and a
-//! node's own list by the bits of its Hilbert codes and, if these are equal, by the bytes of its records.
+//! A stretch that is too large for memory is partitioned again: a subtree by the same scheme from
+//! its own cell down, and a node's own list by the bits of its Hilbert codes and, if these are
+//! equal, by the bytes of its records.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -32,17 +34,18 @@ pub(super) struct Partition<'a> {
     done: AtomicU64,
 }
 
-/// Largest number of records sorted at once: a sort cannot be cancelled, and takes some milliseconds for this many records.
-/// A limit also gives more threads something to do.
+/// Largest number of records sorted at once: a sort cannot be cancelled, and takes some
+/// milliseconds for this many records. A limit also gives more threads something to do.
 const MOST_SORTED: u64 = 1 << 18;
 /// Own lists are passed on in multiples of this number of points, so that runs are full.
 const RUN: usize = crate::octree::layout::RUN_POINTS;
 
 /// Largest number of records of `stride` bytes that each of some threads loads at once.
 pub(super) fn capacity(memory_bytes: u64, threads: usize, stride: usize) -> u64 {
-    // A loaded record needs memory for itself, its entry, and the output made from it; up to one bucket more than there are
-    // threads is alive. A third of the budget is for these, and a quarter for the buffers of the scatter; the rest is for a
-    // second level of the same if a stretch is too large.
+    // A loaded record needs memory for itself, its entry, and the output made from it; up to one
+    // bucket more than there are threads is alive. A third of the budget is for these, and a
+    // quarter for the buffers of the scatter; the rest is for a second level of the same if a
+    // stretch is too large.
     let per_record = (2 * stride + size_of::<Entry>() + 16) as u64;
     let cap = memory_bytes / 3 / (threads as u64 + 2) / per_record;
     cap.clamp(2 * LEAF_POINTS, MOST_SORTED)
@@ -122,9 +125,9 @@ impl<'a> Partition<'a> {
         Ok(sum.into_inner())
     }
 
-    /// Executes the events of some of the buckets of a plan, of which `firsts` has the first records in `spill`: processes
-    /// buckets in parallel, and passes on the results in order. `check` is shown the records of each bucket that fits in
-    /// memory.
+    /// Executes the events of some of the buckets of a plan, of which `firsts` has the first
+    /// records in `spill`: processes buckets in parallel, and passes on the results in order.
+    /// `check` is shown the records of each bucket that fits in memory.
     pub(super) fn follow<P: Pack>(
         &self,
         plan: &Plan,
@@ -161,7 +164,8 @@ impl<'a> Partition<'a> {
                 for event in &plan.events[starts[b]..starts[b + 1]] {
                     match event {
                         Event::Open(_) | Event::Close => structure(event, out)?,
-                        // A bucket that was not packed is a single stretch that is too large for memory.
+                        // A bucket that was not packed is a single stretch that is too large for
+                        // memory.
                         Event::Own { .. } => match next() {
                             Some(piece) => out.own(piece)?,
                             None => self.list(region(b), 0, &mut OwnList { pack, carry: Vec::new() }, out)?,
@@ -201,7 +205,8 @@ impl<'a> Partition<'a> {
                 Event::Open(_) | Event::Close => {}
             }
         }
-        // Packing ends early if the build is cancelled; its result is then incomplete and must not be used.
+        // Packing ends early if the build is cancelled; its result is then incomplete and must not
+        // be used.
         self.context.check()?;
         Ok(pieces)
     }
@@ -257,7 +262,8 @@ impl<'a> Partition<'a> {
         Ok(())
     }
 
-    /// The value of a window of a record's sort key in its list: first the Hilbert code, then the bytes of the record.
+    /// The value of a window of a record's sort key in its list: first the Hilbert code, then the
+    /// bytes of the record.
     fn window(&self, record: &[u8], window: u32) -> usize {
         if window < CODE_WINDOWS {
             (self.keys.key(record).code() >> (60 - 10 * (window + 1)) & 1023) as usize
@@ -301,7 +307,8 @@ impl<'a> Partition<'a> {
             .map_err(self.context.io("read temporary files in"))
     }
 
-    /// Copies the records of a region into a new spill, bucket by bucket; the order within a bucket is undefined.
+    /// Copies the records of a region into a new spill, bucket by bucket; the order within a bucket
+    /// is undefined.
     fn scatter(
         &self,
         region: Region<'_>,
@@ -316,8 +323,9 @@ impl<'a> Partition<'a> {
         Ok((spill, firsts))
     }
 
-    /// Hands the records of a region to `write`, some of a bucket at a time, with the bucket and the byte at which they go.
-    /// Buckets follow each other, and begin at the records `firsts`; the order within a bucket is undefined.
+    /// Hands the records of a region to `write`, some of a bucket at a time, with the bucket and
+    /// the byte at which they go. Buckets follow each other, and begin at the records `firsts`; the
+    /// order within a bucket is undefined.
     pub(super) fn scatter_into(
         &self,
         region: Region<'_>,
@@ -333,8 +341,8 @@ impl<'a> Partition<'a> {
             let at = cursors[bucket].fetch_add(records, Ordering::Relaxed);
             write(bucket, bytes, at * self.stride as u64)
         };
-        // Buffers outlive the chunks, with one set per thread; `chunks` has no thread-local state, so they are kept in a
-        // pool.
+        // Buffers outlive the chunks, with one set per thread; `chunks` has no thread-local state,
+        // so they are kept in a pool.
         let pool: Mutex<Vec<Vec<Vec<u8>>>> = Mutex::new(Vec::new());
         let take = || pool.lock().unwrap_or_else(std::sync::PoisonError::into_inner).pop();
         pipeline::chunks(region.count, CHUNK_RECORDS, self.threads, |input, range| {

@@ -9,8 +9,9 @@ struct State<T> {
     done: Vec<(usize, T)>,
 }
 
-/// Runs `work(i)` for `i` in `0..count` on `threads` threads and passes the results to `consume` in order, on the calling
-/// thread. At most `threads + 1` results exist at any time. The first error, in order, ends it and is returned.
+/// Runs `work(i)` for `i` in `0..count` on `threads` threads and passes the results to `consume` in
+/// order, on the calling thread. At most `threads + 1` results exist at any time. The first error,
+/// in order, ends it and is returned.
 pub(super) fn ordered<T: Send, E: Send>(
     count: usize,
     threads: usize,
@@ -24,7 +25,8 @@ pub(super) fn ordered<T: Send, E: Send>(
     let (changed, stop) = (Condvar::new(), AtomicBool::new(false));
     let lock = || state.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     std::thread::scope(|scope| {
-        // A panic of a worker or of the consumer must not leave the others waiting; the scope propagates the panic.
+        // A panic of a worker or of the consumer must not leave the others waiting; the scope
+        // propagates the panic.
         struct StopOnDrop<'a, T>(&'a AtomicBool, &'a Mutex<T>, &'a Condvar);
         impl<T> Drop for StopOnDrop<'_, T> {
             fn drop(&mut self) {
@@ -83,7 +85,8 @@ pub(super) fn ordered<T: Send, E: Send>(
     })
 }
 
-/// Runs `work(chunk)` for chunks of `0..count` on `threads` threads, in no particular order. The first error found ends it.
+/// Runs `work(chunk)` for chunks of `0..count` on `threads` threads, in no particular order. The
+/// first error found ends it.
 pub(super) fn chunks<E: Send>(
     count: u64,
     chunk: u64,

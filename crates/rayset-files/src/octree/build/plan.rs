@@ -1,5 +1,5 @@
-//! Plans the octree from counts alone: which nodes exist above a certain level, and which stretches of the sorted points
-//! belong to them. Stretches are grouped into buckets that fit in memory.
+//! Plans the octree from counts alone: which nodes exist above a certain level, and which stretches
+//! of the sorted points belong to them. Stretches are grouped into buckets that fit in memory.
 
 use super::record::{Key, KeyMaker};
 use rayset_base::geometry::curve::MAX_LEVEL;
@@ -47,13 +47,14 @@ pub(super) struct Bucket {
 pub(super) struct Pyramid {
     base: Cell,
     depth: u32,
-    /// For each level from the base, one counter per cell. The last level also counts points owned by deeper cells.
+    /// For each level from the base, one counter per cell. The last level also counts points owned
+    /// by deeper cells.
     pub(super) counts: Vec<Vec<std::sync::atomic::AtomicU64>>,
 }
 
 impl Pyramid {
-    /// A pyramid deep enough, within its limits, that its last cells hold a few hundred of `count` points if these are
-    /// spread evenly.
+    /// A pyramid deep enough, within its limits, that its last cells hold a few hundred of `count`
+    /// points if these are spread evenly.
     pub(super) fn new(base: Cell, count: u64, limit_bytes: u64) -> Self {
         let mut depth = 1;
         while depth < 6
@@ -95,8 +96,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// Determines the upper tree and groups its stretches into buckets of at most `cap` points; a larger stretch gets its
-    /// own bucket.
+    /// Determines the upper tree and groups its stretches into buckets of at most `cap` points; a
+    /// larger stretch gets its own bucket.
     pub(super) fn new(pyramid: Pyramid, cap: u64) -> Self {
         let own: Vec<Vec<u64>> = pyramid
             .counts
@@ -121,7 +122,8 @@ impl Plan {
         self.bucket_of[level][index]
     }
 
-    /// The number of points in each bucket, of those that some counters of a pyramid like this one's count, level by level.
+    /// The number of points in each bucket, of those that some counters of a pyramid like this
+    /// one's count, level by level.
     pub(super) fn counts_by_bucket(&self, counts: &[u64]) -> Vec<u64> {
         let mut by_bucket = vec![0; self.buckets.len()];
         for (count, &bucket) in counts.iter().zip(self.bucket_of.iter().flatten()).filter(|(c, _)| **c > 0) {
@@ -130,7 +132,8 @@ impl Plan {
         by_bucket
     }
 
-    /// For each bucket the first event that takes points of it, and after these the number of events.
+    /// For each bucket the first event that takes points of it, and after these the number of
+    /// events.
     pub(super) fn starts(&self) -> Vec<usize> {
         let mut starts = vec![self.events.len(); self.buckets.len() + 1];
         for (at, event) in self.events.iter().enumerate().rev() {

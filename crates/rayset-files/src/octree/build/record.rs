@@ -1,8 +1,8 @@
 //! Points between input and pages: fixed-size records in temporary files, and their sort key.
 //!
-//! The file order is that of (curve prefix at the owner's level, owner's level, position along the curve, record bytes): a
-//! node's own points come before those of its children, and records that compare equal are identical, so the order does not
-//! depend on threads or buckets.
+//! The file order is that of (curve prefix at the owner's level, owner's level, position along the
+//! curve, record bytes): a node's own points come before those of its children, and records that
+//! compare equal are identical, so the order does not depend on threads or buckets.
 
 use crate::octree::layout::RootCell;
 use crate::points::ColumnType;
@@ -12,8 +12,9 @@ use rayset_base::geometry::curve::{MAX_LEVEL, hilbert};
 /// Number of bits of a position along the Hilbert curve.
 const CURVE_BITS: u32 = 3 * MAX_LEVEL;
 
-/// The layout of a record: position (three `f64`), radius, weight (`f32`), colour (three `f32` and an `u32` for their depth,
-/// see [`Depths`](super::depths::Depths)), attributes in their own types. Nothing is aligned.
+/// The layout of a record: position (three `f64`), radius, weight (`f32`), colour (three `f32` and
+/// an `u32` for their depth, see [`Depths`](super::depths::Depths)), attributes in their own types.
+/// Nothing is aligned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct RecordLayout {
     pub(super) has_radius: bool,
@@ -77,8 +78,8 @@ pub(super) fn radius(record: &[u8]) -> f32 {
     float(record, POSITION_BYTES)
 }
 
-/// The sort key of records, in file order except for ties: curve prefix at the owner's level (60 bits), level (5 bits),
-/// Hilbert code (60 bits).
+/// The sort key of records, in file order except for ties: curve prefix at the owner's level (60
+/// bits), level (5 bits), Hilbert code (60 bits).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key(u128);
 

@@ -43,7 +43,8 @@ impl<'a> Sorted<'a> {
         Self { entries: &self.entries[range], ..*self }
     }
 
-    /// The records that a node at `level` owns itself, which come first, and the stretch of each child.
+    /// The records that a node at `level` owns itself, which come first, and the stretch of each
+    /// child.
     pub(super) fn split(&self, level: u32) -> (Self, [Self; 8]) {
         let own = self.entries.iter().take_while(|e| e.key.level() == level).count();
         let rest = self.slice(own..self.len());
@@ -65,7 +66,8 @@ impl Records {
         Self { bytes, entries, stride }
     }
 
-    /// Makes the entry of each record. `go_on` is asked every few thousand records; once it fails, so does this.
+    /// Makes the entry of each record. `go_on` is asked every few thousand records; once it fails,
+    /// so does this.
     pub(super) fn index<E>(&mut self, keys: &KeyMaker, go_on: impl Fn() -> Result<(), E>) -> Result<(), E> {
         for (index, record) in self.bytes.chunks_exact(self.stride).enumerate() {
             if index % 8192 == 0 {

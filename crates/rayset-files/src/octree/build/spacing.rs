@@ -1,12 +1,15 @@
 //! Out-of-core estimation of radii from the local spacing, for points that have none.
 //!
-//! The radius of a point is 0.85 times the distance to its eighth nearest neighbour. Stray points, which are much farther from
-//! others than is usual in the cloud, get the median radius: see [`Typical`]. Points that coincide are one place (`curve`).
+//! The radius of a point is 0.85 times the distance to its eighth nearest neighbour. Stray points,
+//! which are much farther from others than is usual in the cloud, get the median radius: see
+//! [`Typical`]. Points that coincide are one place (`curve`).
 //!
-//! Records are first sorted along the Hilbert curve, with a box around every few hundred. Then they are loaded again a block
-//! at a time: neighbours are looked for in the block, and after that in the records elsewhere whose boxes are near enough
-//! (`neighbours`). Where so many records share a Hilbert code that the curve says nothing of their places, boxes would be of no
-//! use: they have one radius, by the number of their places and their extent ([`Crowd`]). Other distances are exact, and the rest are counts of them, so the result depends on the points alone.
+//! Records are first sorted along the Hilbert curve, with a box around every few hundred. Then they
+//! are loaded again a block at a time: neighbours are looked for in the block, and after that in
+//! the records elsewhere whose boxes are near enough (`neighbours`). Where so many records share a
+//! Hilbert code that the curve says nothing of their places, boxes would be of no use: they have
+//! one radius, by the number of their places and their extent ([`Crowd`]). Other distances are
+//! exact, and the rest are counts of them, so the result depends on the points alone.
 
 use super::context::Context;
 use super::control::Stage;
@@ -28,8 +31,8 @@ const POSITION: usize = 24;
 /// Position and radius of a record.
 const HEAD: usize = 28;
 
-/// Keys by which records are sorted along the curve. Owner cells do not matter yet: with a tiny radius, points are sorted by
-/// their Hilbert codes alone.
+/// Keys by which records are sorted along the curve. Owner cells do not matter yet: with a tiny
+/// radius, points are sorted by their Hilbert codes alone.
 pub(super) fn curve_keys(survey: &Survey) -> KeyMaker {
     KeyMaker { root: survey.root, radius: Some(f32::MIN_POSITIVE) }
 }
@@ -144,7 +147,8 @@ fn store(
     curve.spill.write_at(&bytes, at).map_err(context.io("rewrite temporary files in"))
 }
 
-/// Gives the typical radius to records that have none, or one beyond the limit; returns the range of all radii.
+/// Gives the typical radius to records that have none, or one beyond the limit; returns the range
+/// of all radii.
 fn settle(
     context: &Context<'_>,
     curve: &Curve<'_>,

@@ -71,7 +71,8 @@ pub(super) struct DraftNode {
     pub(super) level: u32,
     /// The node's own runs, as a range of those of the piece.
     pub(super) own: std::ops::Range<usize>,
-    /// Octant and index in the piece of each child, in ascending order; children come before their parents.
+    /// Octant and index in the piece of each child, in ascending order; children come before their
+    /// parents.
     pub(super) children: Vec<(u8, usize)>,
     pub(super) summary: Summary,
 }

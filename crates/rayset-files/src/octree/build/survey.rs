@@ -1,8 +1,8 @@
-//! What is known of all records before they are sorted: what options and schemas decide, totals over the valid records, and
-//! what follows from both.
+//! What is known of all records before they are sorted: what options and schemas decide, totals
+//! over the valid records, and what follows from both.
 //!
-//! Totals of parts of the records are merged to those of all, whatever the parts: every one of them is a sum of integers, a
-//! smallest or a largest number.
+//! Totals of parts of the records are merged to those of all, whatever the parts: every one of them
+//! is a sum of integers, a smallest or a largest number.
 
 use super::columns::{Columns, radius_rule, weight_rule};
 use super::depths::Depths;
@@ -15,8 +15,8 @@ use crate::points::{ColumnInfo, PointSource};
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{Identity, Metadata, RecordSum};
 
-/// Largest absolute coordinate, radius and weight; its reciprocal is the smallest radius. Their squares are in the range of
-/// `f32`.
+/// Largest absolute coordinate, radius and weight; its reciprocal is the smallest radius. Their
+/// squares are in the range of `f32`.
 pub(super) const LIMIT: f64 = 1e18;
 
 /// What options and schemas decide before any record is read.
@@ -24,7 +24,8 @@ pub(super) const LIMIT: f64 = 1e18;
 pub(super) struct Form {
     pub(super) layout: RecordLayout,
     pub(super) attributes: Vec<ColumnInfo>,
-    /// The radius that all points share; `None` if each record has its own, or one is still to be measured.
+    /// The radius that all points share; `None` if each record has its own, or one is still to be
+    /// measured.
     pub(super) radius: Option<f32>,
     /// Scale factor for radii that are still to be measured.
     pub(super) auto_scale: f64,
@@ -55,10 +56,12 @@ impl Form {
     }
 }
 
-/// The definition of automatic radii, which `spacing` measures: clouds of another one have another identity.
+/// The definition of automatic radii, which `spacing` measures: clouds of another one have another
+/// identity.
 const AUTO_RADII: &str = ", 0.85 of the eighth neighbour";
 
-/// Everything besides the records on which pages depend, so that files that differ in it have different identities.
+/// Everything besides the records on which pages depend, so that files that differ in it have
+/// different identities.
 fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns: &Columns) -> String {
     let definition = if *radius == Rule::Auto { AUTO_RADII } else { "" };
     format!(
@@ -72,8 +75,8 @@ fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns
     )
 }
 
-/// The descriptions of the sources, their reference system and what is up if they all have the same, and the step of their
-/// coordinates.
+/// The descriptions of the sources, their reference system and what is up if they all have the
+/// same, and the step of their coordinates.
 fn describe(sources: &[Box<dyn PointSource + '_>], length_scale: f64) -> Metadata {
     let crs = sources.first().map_or("", |s| s.schema().crs.as_str());
     let shared = sources.iter().all(|s| s.schema().crs == crs);
@@ -187,8 +190,8 @@ impl Totals {
         }
     }
 
-    /// Numbers out of range are probably valid data in unsuitable units, so they are an error. An input with records, none
-    /// of which is valid, is also an error.
+    /// Numbers out of range are probably valid data in unsuitable units, so they are an error. An
+    /// input with records, none of which is valid, is also an error.
     pub(super) fn refuse_unusable(&self, options: &BuildOptions) -> Result<(), BuildError> {
         if options.invalid != InvalidPolicy::SkipAll {
             for quantity in Quantity::ALL {
@@ -220,7 +223,8 @@ pub(super) struct Survey {
     pub(super) skipped: Skipped,
     pub(super) bounds: Aabb,
     pub(super) root: RootCell,
-    /// The radius that all points share; `None` if each record has its own, or one is still to be measured.
+    /// The radius that all points share; `None` if each record has its own, or one is still to be
+    /// measured.
     pub(super) radius: Option<f32>,
     pub(super) radius_range: (f32, f32),
     /// Scale factor for radii that are still to be measured.
@@ -301,8 +305,8 @@ fn settled(min: f32, max: f32) -> Column {
     if min == max { Column::Constant(min) } else { Column::Varying { min, max } }
 }
 
-/// The root cell: a cube that contains all positions, with an edge that is a power of two, on a lattice on which run corners
-/// are exact.
+/// The root cell: a cube that contains all positions, with an edge that is a power of two, on a
+/// lattice on which run corners are exact.
 pub(super) fn root_cell(bounds: &Aabb, radius_max: f64) -> RootCell {
     if bounds.is_empty() {
         return RootCell { min: DVec3::ZERO, size: 1.0 };
@@ -310,7 +314,8 @@ pub(super) fn root_cell(bounds: &Aabb, radius_max: f64) -> RootCell {
     let reach = bounds.min.abs().max_element().max(bounds.max.abs().max_element());
     let extent = bounds.size().max_element();
     let radius = if radius_max.is_finite() && radius_max > 0.0 { radius_max.min(1e18) } else { 0.0 };
-    // Large enough that steps of 2⁻³² of it do not fall below the resolution of an `f64` at that distance from the origin.
+    // Large enough that steps of 2⁻³² of it do not fall below the resolution of an `f64` at that
+    // distance from the origin.
     let least = extent.max(radius * 1e-6).max(reach * 2_f64.powi(-20)).max(1e-18);
     let mut size = 2_f64.powi(least.log2().ceil() as i32);
     loop {

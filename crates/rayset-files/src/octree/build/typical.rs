@@ -48,7 +48,8 @@ impl Measured {
         Ok(())
     }
 
-    /// The radius than which a part of all radii is smaller, rounded down to the beginning of its count.
+    /// The radius than which a part of all radii is smaller, rounded down to the beginning of its
+    /// count.
     fn quantile(&self, part: f64) -> f64 {
         let mut before = (part * self.known as f64) as u64;
         let at = self.counts.iter().position(|&count| {
@@ -101,8 +102,8 @@ impl Measured {
         (self.known > 0).then_some(Typical { radius: median as f32, limit: limit.min(LIMIT) as f32 })
     }
 
-    /// The radius for a cloud that is too small or too degenerate to measure: from the spacing of a surface of its extent, so
-    /// that neighbours touch but do not hide each other, or 1.
+    /// The radius for a cloud that is too small or too degenerate to measure: from the spacing of a
+    /// surface of its extent, so that neighbours touch but do not hide each other, or 1.
     fn fallback(&self, survey: &Survey) -> f64 {
         let (extent, places) = (survey.bounds.size().max_element(), self.known + self.unknown);
         let spacing = extent / (places as f64).sqrt().max(1.0);
@@ -111,14 +112,15 @@ impl Measured {
     }
 }
 
-/// The limit is at least this multiple of the median: clouds that are sampled evenly have sparse edges, too.
+/// The limit is at least this multiple of the median: clouds that are sampled evenly have sparse
+/// edges, too.
 const LEAST_LIMIT: f64 = 3.0;
 
 /// What radii are usual in a cloud.
 ///
-/// With quartiles Q₁ and Q₃ of the radii, those beyond Q₃ (Q₃/Q₁)^1.5, and beyond three times the median, belong to stray points.
-/// In logarithms this is the customary fence of 1.5 times the interquartile range, so a scan whose spacing
-/// varies widely has a wide limit.
+/// With quartiles Q₁ and Q₃ of the radii, those beyond Q₃ (Q₃/Q₁)^1.5, and beyond three times the
+/// median, belong to stray points. In logarithms this is the customary fence of 1.5 times the
+/// interquartile range, so a scan whose spacing varies widely has a wide limit.
 pub(super) struct Typical {
     radius: f32,
     limit: f32,

@@ -7,7 +7,8 @@ fn the_step_of_a_run_is_the_finest_that_is_large_enough() {
     for root_size in [2_f64.powi(-60), 1.0, 2_f64.powi(20)] {
         let step_of = |code: u8| root_size * step_fraction(code);
         for exponent in 10..150 {
-            // Exact powers of two, and adjacent numbers, whose logarithms round to those of the powers.
+            // Exact powers of two, and adjacent numbers, whose logarithms round to those of the
+            // powers.
             for factor in [1.0, 1.0 + f64::EPSILON, 1.0 - f64::EPSILON / 2.0, 1.3] {
                 let step = root_size * 2_f64.powi(-exponent) * factor;
                 let code = step_code_for(step, root_size);
@@ -54,7 +55,8 @@ fn the_bounds_of_a_run_hold_its_points_closely() {
                 assert!(bounds.inflated(encoded.position_error).encloses(&tight));
                 assert_eq!(precision == 0.0, encoded.head.encoding() == Encoding::F64);
                 assert!(encoded.position_error <= precision * f64::from(radius[0]));
-                // One unit of the lattice of corners, and two of the extent, of which at least 127 span the widest axis.
+                // One unit of the lattice of corners, and two of the extent, of which at least 127
+                // span the widest axis.
                 let slack = root.size / ORIGIN_STEPS + 3.0 * tight.size().max_element() / 126.0;
                 let wider = (bounds.size() - tight.size()).max_element();
                 assert!(

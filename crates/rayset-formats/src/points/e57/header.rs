@@ -1,7 +1,8 @@
 //! The header of an E57 file, and the XML that describes its scans.
 //!
-//! The `e57` crate interprets the XML. What could make it need much memory is checked before: the header against the file,
-//! the size of the text, and the number of its parts, of which a document is made in memory.
+//! The `e57` crate interprets the XML. What could make it need much memory is checked before: the
+//! header against the file, the size of the text, and the number of its parts, of which a document
+//! is made in memory.
 
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -15,8 +16,8 @@ use rayset_store::storage::input_file::InputFile;
 const HEADER_BYTES: usize = 48;
 /// Longest XML in bytes. That of a scan takes some 5 kB.
 const XML_LIMIT: u64 = 32 << 20;
-/// Largest number of tags and attributes together, each of which takes up to 200 bytes while the XML is interpreted. A scan
-/// has some 300.
+/// Largest number of tags and attributes together, each of which takes up to 200 bytes while the
+/// XML is interpreted. A scan has some 300.
 const MARK_LIMIT: usize = 600_000;
 
 /// What a file says of itself and its scans.
@@ -62,7 +63,8 @@ fn interpret(file: InputFile, xml_start: u64) -> e57::Result<Contents> {
     })
 }
 
-/// Checks the header against the length of the file. Returns where the XML begins, and its length in bytes.
+/// Checks the header against the length of the file. Returns where the XML begins, and its length
+/// in bytes.
 fn check_header(path: &Path, file: &mut InputFile, bytes: u64) -> Result<(u64, u64), ReadError> {
     let bad = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
     let mut header = Vec::new();

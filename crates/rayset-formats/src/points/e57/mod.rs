@@ -1,17 +1,19 @@
 //! E57 (ASTM E2807): the scans of a file as one cloud, in batches.
 //!
-//! The `e57` crate reads what a file says of its scans; their points are read here, because the crate makes a list of the
-//! numbers of every point, trusts that all fields of a packet come equally far, and lends out its reader. Each page of the
-//! file is checked before it is used.
+//! The `e57` crate reads what a file says of its scans; their points are read here, because the
+//! crate makes a list of the numbers of every point, trusts that all fields of a packet come
+//! equally far, and lends out its reader. Each page of the file is checked before it is used.
 //!
-//! **Coordinates** are those of the file: the pose of its scan is applied to every point. Spherical ones become Cartesian; if
-//! a scan has both, a point without valid Cartesian coordinates takes the others. Points whose coordinates are said to be
-//! invalid, or to be a direction alone, are delivered as NaN, so that they are counted as invalid.
+//! **Coordinates** are those of the file: the pose of its scan is applied to every point. Spherical
+//! ones become Cartesian; if a scan has both, a point without valid Cartesian coordinates takes the
+//! others. Points whose coordinates are said to be invalid, or to be a direction alone, are
+//! delivered as NaN, so that they are counted as invalid.
 //!
-//! **Colours** are scaled by their limits, if these are not 0 to 255 or 0 to 65535 in all scans. Invalid ones are black.
-//! Intensities keep their numbers. An invalid one, or one of a scan that has none, is NaN. Columns of an extension of the
-//! format have the names that it gives them; its surface normals turn with the scan. If there are several scans, the column
-//! `scan` has their numbers, from 0.
+//! **Colours** are scaled by their limits, if these are not 0 to 255 or 0 to 65535 in all scans.
+//! Invalid ones are black. Intensities keep their numbers. An invalid one, or one of a scan that
+//! has none, is NaN. Columns of an extension of the format have the names that it gives them; its
+//! surface normals turn with the scan. If there are several scans, the column `scan` has their
+//! numbers, from 0.
 //!
 //! Not supported: pictures, and groups of points.
 
@@ -42,7 +44,8 @@ pub(super) struct E57Source {
     schema: Schema,
     selected: Vec<usize>,
     count: u64,
-    /// Number of scans begun, and the packets and the number of points that are left of the last of them.
+    /// Number of scans begun, and the packets and the number of points that are left of the last of
+    /// them.
     begun: usize,
     packets: Option<Packets>,
     left: u64,

@@ -1,13 +1,14 @@
-//! The binary records of a scan: packets with a piece of the numbers of every field, which are packed bit by bit.
+//! The binary records of a scan: packets with a piece of the numbers of every field, which are
+//! packed bit by bit.
 //!
-//! The pieces of a packet need not hold equally many numbers, so what one field is ahead of the others is kept until they
-//! follow.
+//! The pieces of a packet need not hold equally many numbers, so what one field is ahead of the
+//! others is kept until they follow.
 
 use super::pages::Pages;
 use crate::points::ReadError;
 
-/// Most bytes of a scan that are kept at a time. Ordinary writers put the same records of all fields into a packet of 64 KiB,
-/// or nearly so.
+/// Most bytes of a scan that are kept at a time. Ordinary writers put the same records of all
+/// fields into a packet of 64 KiB, or nearly so.
 pub(super) const KEPT_LIMIT: usize = 1 << 20;
 
 /// The numbers of a field that have been read and not yet been used.
@@ -28,7 +29,8 @@ impl Stream {
         pages.read(&mut self.bytes[start..], "a packet of points")
     }
 
-    /// Whole numbers that are kept; `None` if they take no bits, and there are as many as one likes.
+    /// Whole numbers that are kept; `None` if they take no bits, and there are as many as one
+    /// likes.
     fn available(&self) -> Option<usize> {
         (8 * self.bytes.len() - self.used).checked_div(self.bits)
     }
@@ -117,7 +119,8 @@ impl Packets {
         let length = 1 + u64::from(u16::from_le_bytes([head[2], head[3]]));
         let fields = usize::from(u16::from_le_bytes([head[4], head[5]]));
         match head[0] {
-            // An index of packets, or one to be ignored, which may have no more than its first four bytes.
+            // An index of packets, or one to be ignored, which may have no more than its first four
+            // bytes.
             0 | 2 if length >= 4 => {}
             1 if fields == self.streams.len() => {
                 let rest = (length as usize).saturating_sub(head.len());

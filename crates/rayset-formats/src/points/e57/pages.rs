@@ -56,7 +56,8 @@ impl Pages {
         ReadError::malformed(&self.path, Place::Byte(self.byte()), what)
     }
 
-    /// Goes to a byte of the file. `what` is said to begin there, and `said_at` is the byte of the file that says so.
+    /// Goes to a byte of the file. `what` is said to begin there, and `said_at` is the byte of the
+    /// file that says so.
     pub(super) fn go_to(&mut self, byte: u64, what: &str, said_at: u64) -> Result<(), ReadError> {
         let (page, within) = (byte / PAGE_BYTES, byte % PAGE_BYTES);
         if page >= self.count || within >= CONTENT_BYTES {
@@ -76,7 +77,8 @@ impl Pages {
         self.at = self.at.saturating_add(bytes);
     }
 
-    /// Goes behind `bytes` bytes of content that begin at a byte of the file, which is in the content of a page.
+    /// Goes behind `bytes` bytes of content that begin at a byte of the file, which is in the
+    /// content of a page.
     pub(super) fn skip_from(&mut self, start: u64, bytes: u64) -> Result<(), ReadError> {
         self.go_to(start, "a packet", start)?;
         self.skip(bytes);

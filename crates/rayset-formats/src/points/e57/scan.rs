@@ -1,4 +1,5 @@
-//! The scans of a file: where their coordinates are, and what its columns are made of in each of them.
+//! The scans of a file: where their coordinates are, and what its columns are made of in each of
+//! them.
 
 use e57::{PointCloud, RecordName, Transform};
 
@@ -8,7 +9,8 @@ use rayset_base::geometry::DVec3;
 
 /// Most fields of a record; each takes memory of its own while points are read.
 const FIELD_LIMIT: usize = 256;
-/// Largest product of the numbers of scans and columns, for each of which something is held in memory.
+/// Largest product of the numbers of scans and columns, for each of which something is held in
+/// memory.
 const ORIGIN_LIMIT: usize = 1 << 20;
 
 /// The ranges of red, green and blue.
@@ -37,7 +39,8 @@ impl Pose {
         };
         let q = [q.w, q.x, q.y, q.z];
         let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
-        // Rotations must be unit quaternions. Zeros, from writers that have none to state, are no rotation.
+        // Rotations must be unit quaternions. Zeros, from writers that have none to state, are no
+        // rotation.
         let [w, x, y, z] = if length > 0.0 { q.map(|v| v / length) } else { [1.0, 0.0, 0.0, 0.0] };
         Self {
             axes: [
@@ -93,7 +96,8 @@ impl Scan {
     }
 }
 
-/// The name of the column of a field; `None` for coordinates, and for what says that others are invalid.
+/// The name of the column of a field; `None` for coordinates, and for what says that others are
+/// invalid.
 fn column_name(name: &RecordName) -> Option<&str> {
     Some(match name {
         RecordName::Intensity => "intensity",
@@ -228,7 +232,8 @@ fn origin(name: &str, scan: &Scan, cloud: &PointCloud, ranges: Option<Ranges>) -
     (Origin::Field { field, invalid }, kind)
 }
 
-/// The depth of the colours of all scans, and the ranges by which they become 0 to 1 if that is needed.
+/// The depth of the colours of all scans, and the ranges by which they become 0 to 1 if that is
+/// needed.
 fn color_ranges(clouds: &[PointCloud], scans: &[Scan]) -> (ColorDepth, Option<Vec<Ranges>>) {
     let ranges = clouds.iter().zip(scans).map(|(cloud, scan)| limits(cloud, scan));
     let ranges: Option<Vec<Ranges>> = ranges.collect();
@@ -243,7 +248,8 @@ fn color_ranges(clouds: &[PointCloud], scans: &[Scan]) -> (ColorDepth, Option<Ve
     (ColorDepth::Unit, Some(ranges))
 }
 
-/// The limits of the colours of a scan, or else the ranges of their types; `None` if it has colours without either.
+/// The limits of the colours of a scan, or else the ranges of their types; `None` if it has colours
+/// without either.
 fn limits(cloud: &PointCloud, scan: &Scan) -> Option<Ranges> {
     let stated = cloud.color_limits.as_ref();
     let channels = [

@@ -79,8 +79,8 @@ const KNOWN: [(&str, Of, usize); 16] = [
     ("TSTP", Of::All, 1),
 ];
 
-/// Whether a file begins as those of GADGET do, and in which byte order: with a record of 256 bytes, or one of 8 that holds
-/// `HEAD`. `None` if it does not.
+/// Whether a file begins as those of GADGET do, and in which byte order: with a record of 256
+/// bytes, or one of 8 that holds `HEAD`. `None` if it does not.
 pub(super) fn byte_order(head: &[u8]) -> Option<(bool, bool)> {
     let word = |at: usize| head.get(at..at + 4);
     for (big_endian, marks) in [(false, [[0, 1, 0, 0], [8, 0, 0, 0]]), (true, [[0, 0, 1, 0], [0, 0, 0, 8]])] {
@@ -163,8 +163,9 @@ impl GadgetFile {
         Ok(f64::from_le_bytes(bytes))
     }
 
-    /// The length of the record at a byte, whose marks before and behind must agree: one of the `expected` lengths, which
-    /// may be so large that the marks have only their last 32 bits, or else what the marks say.
+    /// The length of the record at a byte, whose marks before and behind must agree: one of the
+    /// `expected` lengths, which may be so large that the marks have only their last 32 bits, or
+    /// else what the marks say.
     fn record(&self, at: u64, expected: &[u64], name: &str) -> Result<u64, ReadError> {
         let mark = self.word(at)?;
         let long = expected.iter().copied().filter(|&length| length > u64::from(u32::MAX));
@@ -235,7 +236,8 @@ impl GadgetFile {
                 at += 16;
                 name
             } else {
-                // Behind the blocks whose order is the same in all snapshots nothing says what comes.
+                // Behind the blocks whose order is the same in all snapshots nothing says what
+                // comes.
                 let Some(name) = unnamed.next() else { break };
                 name.to_owned()
             };
@@ -259,8 +261,8 @@ impl GadgetFile {
         Ok(())
     }
 
-    /// Names of the blocks of a file that does not have them: GADGET-2's order, in which codes with cooling put the
-    /// abundances of electrons and neutral hydrogen before smoothing lengths.
+    /// Names of the blocks of a file that does not have them: GADGET-2's order, in which codes with
+    /// cooling put the abundances of electrons and neutral hydrogen before smoothing lengths.
     fn order(&self) -> Vec<&'static str> {
         let own_masses = self.rows(Of::OwnMass).iter().any(|&rows| rows > 0);
         let mut order = vec!["POS", "VEL", "ID"];
@@ -277,7 +279,8 @@ impl GadgetFile {
         order
     }
 
-    /// A block of `length` bytes. `None` if it is unknown for whose particles it is, or what its numbers are.
+    /// A block of `length` bytes. `None` if it is unknown for whose particles it is, or what its
+    /// numbers are.
     fn block(&self, name: &str, start: u64, length: u64) -> Result<Option<Block>, ReadError> {
         let known = KNOWN.iter().find(|(known, ..)| *known == name);
         // Of others the length tells.

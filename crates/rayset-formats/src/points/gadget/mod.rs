@@ -1,10 +1,10 @@
-//! Snapshots and initial conditions in GADGET's own binary format, SnapFormat 1 and 2, in both byte orders, in one file or
-//! several.
+//! Snapshots and initial conditions in GADGET's own binary format, SnapFormat 1 and 2, in both byte
+//! orders, in one file or several.
 //!
-//! A file is a header and blocks, each between two marks with its length: positions, velocities, identifiers, masses, and
-//! of gas the internal energy, the density and the smoothing length, in this order; in format 2 blocks have names instead.
-//! A smoothing length is the radius of compact support. Positions are left where they are: a box that is periodic is not
-//! wrapped.
+//! A file is a header and blocks, each between two marks with its length: positions, velocities,
+//! identifiers, masses, and of gas the internal energy, the density and the smoothing length, in
+//! this order; in format 2 blocks have names instead. A smoothing length is the radius of compact
+//! support. Positions are left where they are: a box that is periodic is not wrapped.
 
 mod blocks;
 
@@ -91,8 +91,8 @@ impl GadgetSource {
         })
     }
 
-    /// Goes to the next type with particles that have not been delivered. Returns it with the number of its rows. `None` at
-    /// the end.
+    /// Goes to the next type with particles that have not been delivered. Returns it with the
+    /// number of its rows. `None` at the end.
     fn advance(&mut self) -> Result<Option<(usize, u64)>, ReadError> {
         loop {
             let (file, place) = self.next;
@@ -171,8 +171,8 @@ fn find<'a>(file: &'a GadgetFile, name: &str, kind: usize) -> Option<&'a Block> 
     file.blocks.iter().find(|block| block.name == name).filter(|block| block.first[kind].is_some())
 }
 
-/// The columns of the types that are read, each type with a file that has it. Of numbers that some of the types do not have
-/// these are NaN; identifiers are left out unless all have them.
+/// The columns of the types that are read, each type with a file that has it. Of numbers that some
+/// of the types do not have these are NaN; identifiers are left out unless all have them.
 fn columns(seen: &[(usize, GadgetFile)]) -> Vec<(ColumnInfo, Supply)> {
     let all_have = |name: &str| seen.iter().all(|(kind, file)| find(file, name, *kind).is_some());
     let kind_of = |name: &str| {

@@ -43,8 +43,8 @@ pub(super) struct Survey {
 }
 
 impl ChunkTable {
-    /// Byte offset in the file at which the table begins; `None` if the file has no table, for example because it was
-    /// written to a pipe.
+    /// Byte offset in the file at which the table begins; `None` if the file has no table, for
+    /// example because it was written to a pipe.
     pub(super) fn find(file: &Shared, header: &Header) -> Result<Option<u64>, Trouble> {
         let (first, end) = (header.points_start, header.file_bytes);
         let read = |at: u64| {
@@ -122,7 +122,8 @@ impl ChunkTable {
         let chunks = u64::from(table.left);
         let room = place - (header.points_start + 8);
         let bad = |what: String| Err(Trouble::at(place, format!("{what}; the file is cut off or damaged")));
-        // Every chunk begins with an uncompressed point; only the chunk of a file without points can be empty.
+        // Every chunk begins with an uncompressed point; only the chunk of a file without points
+        // can be empty.
         let record_bytes = header.record_bytes as u64;
         if chunks > room / record_bytes + 1 {
             return bad(format!(

@@ -1,8 +1,9 @@
 //! Compressed points: chunk by chunk, each within its own range of bytes.
 //!
-//! The `laz` crate decodes the records, except for the items that contain GPS times (`gps_time`, `point14`). It knows
-//! nothing about the file: its input ends where the chunk ends, and the sizes by which it allocates are checked before. The
-//! chunk table is decoded along with the points, entry by entry, so that memory never depends on its number of entries.
+//! The `laz` crate decodes the records, except for the items that contain GPS times (`gps_time`,
+//! `point14`). It knows nothing about the file: its input ends where the chunk ends, and the sizes
+//! by which it allocates are checked before. The chunk table is decoded along with the points,
+//! entry by entry, so that memory never depends on its number of entries.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
@@ -19,11 +20,13 @@ use crate::points::stretch::{BUFFER_BYTES, Input, Stretch};
 use rayset_store::storage::input_file::Shared;
 use rayset_store::storage::is_of_reading;
 
-/// Memory in bytes of the models of a point without extra bytes: 2.7 MB were measured for points that are compressed one by
-/// one (format 5), and 3.4 MB for layers (format 10, all four scanner channels).
+/// Memory in bytes of the models of a point without extra bytes: 2.7 MB were measured for points
+/// that are compressed one by one (format 5), and 3.4 MB for layers (format 10, all four scanner
+/// channels).
 const MODELS_BYTES: u64 = 3 << 20;
 const LAYERED_MODELS_BYTES: u64 = 5 << 20;
-/// Memory in bytes of the model of an extra byte: 256 frequencies, their sums, a table and its bookkeeping.
+/// Memory in bytes of the model of an extra byte: 256 frequencies, their sums, a table and its
+/// bookkeeping.
 const EXTRA_BYTE_BYTES: u64 = 2816;
 
 enum Decoder {
@@ -175,7 +178,8 @@ impl CompressedPoints {
         self.chunk.start
     }
 
-    /// Fills `records` with the next points. `done` counts the points that were decoded, even if an error follows.
+    /// Fills `records` with the next points. `done` counts the points that were decoded, even if an
+    /// error follows.
     pub(super) fn read(&mut self, records: &mut [u8], done: &mut usize) -> Result<(), Trouble> {
         if self.left > 0 && self.layers & !self.started_layers != 0 {
             self.restart()?;
@@ -198,7 +202,8 @@ impl CompressedPoints {
         self.table.is_some()
     }
 
-    /// Passes over the next `count` points, of which only those are decoded that are in a chunk with others.
+    /// Passes over the next `count` points, of which only those are decoded that are in a chunk
+    /// with others.
     pub(super) fn skip(&mut self, mut count: u64) -> Result<(), Trouble> {
         while count > 0 {
             if self.left == 0 {
@@ -250,7 +255,8 @@ impl CompressedPoints {
         })
     }
 
-    /// Restarts the chunk with the layers that are selected now, and decodes up to the current point.
+    /// Restarts the chunk with the layers that are selected now, and decodes up to the current
+    /// point.
     fn restart(&mut self) -> Result<(), Trouble> {
         let passed = self.chunk.points - self.left;
         self.start()?;
@@ -297,8 +303,8 @@ impl CompressedPoints {
         Ok(Chunk { start, end, points })
     }
 
-    /// Reads what precedes the layers of a layered chunk: the number of points, and the sizes of the layers, by which the
-    /// decompressor allocates. The layers must lie within the chunk.
+    /// Reads what precedes the layers of a layered chunk: the number of points, and the sizes of
+    /// the layers, by which the decompressor allocates. The layers must lie within the chunk.
     fn preamble(&mut self, start: u64, end: u64) -> Result<Preamble, Trouble> {
         let mut bytes = vec![0; self.method.preamble_bytes()];
         let mut stretch = Stretch::new(&self.file, start, end);
@@ -318,7 +324,8 @@ impl CompressedPoints {
             );
             return Err(Trouble::at(start, what));
         }
-        // If there is a table, it gives the end. Otherwise the layers end the chunk: no writer leaves a gap.
+        // If there is a table, it gives the end. Otherwise the layers end the chunk: no writer
+        // leaves a gap.
         let end = if self.table.is_some() { end } else { end - room + layers };
         Ok(Preamble { points, end })
     }

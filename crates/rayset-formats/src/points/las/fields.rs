@@ -68,8 +68,8 @@ impl Field {
     }
 }
 
-/// Whether a number equals one that a descriptor stores in 8 bytes, as the widest type (unsigned, signed or float) of its
-/// kind.
+/// Whether a number equals one that a descriptor stores in 8 bytes, as the widest type (unsigned,
+/// signed or float) of its kind.
 fn is_same(kind: ColumnType, bytes: &[u8], wide: [u8; 8]) -> bool {
     let size = kind.bytes();
     if !kind.is_integer() {
@@ -80,8 +80,8 @@ fn is_same(kind: ColumnType, bytes: &[u8], wide: [u8; 8]) -> bool {
     bytes[..size] == wide[..size] && wide[size..].iter().all(|&b| b == fill)
 }
 
-/// All columns of a file: the six that every format has, the colours, the other columns of its point format, and those of
-/// its extra bytes. Names are unique.
+/// All columns of a file: the six that every format has, the colours, the other columns of its
+/// point format, and those of its extra bytes. Names are unique.
 pub(super) fn of_file(header: &Header, extra_bytes: Option<&[u8]>) -> Vec<Field> {
     let mut fields = of_format(header.format);
     let start = header.record_bytes - header.extra_bytes();
@@ -160,8 +160,8 @@ fn of_format(format: u8) -> Vec<Field> {
     fields
 }
 
-/// The columns that descriptors of extra bytes define, from byte `at` of a record to byte `end`. Descriptors that exceed the
-/// record are ignored, and so are undocumented bytes.
+/// The columns that descriptors of extra bytes define, from byte `at` of a record to byte `end`.
+/// Descriptors that exceed the record are ignored, and so are undocumented bytes.
 fn of_extra_bytes(descriptors: &[u8], mut at: usize, end: usize) -> Vec<Field> {
     use ColumnType::{F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
     const TYPES: [ColumnType; 10] = [U8, I8, U16, I16, U32, I32, U64, I64, F32, F64];
@@ -170,8 +170,8 @@ fn of_extra_bytes(descriptors: &[u8], mut at: usize, end: usize) -> Vec<Field> {
         let (code, options) = (descriptor[2], descriptor[3]);
         let (kind, length) = match code {
             1..=30 => (TYPES[usize::from(code - 1) % 10], usize::from(code - 1) / 10 + 1),
-            // Undocumented bytes, whose number is in the options. All other codes are reserved, and their lengths are
-            // unknown.
+            // Undocumented bytes, whose number is in the options. All other codes are reserved, and
+            // their lengths are unknown.
             0 => {
                 at += usize::from(options);
                 continue;
@@ -213,7 +213,8 @@ fn of_extra_bytes(descriptors: &[u8], mut at: usize, end: usize) -> Vec<Field> {
     fields
 }
 
-/// The unit in brackets at the end of a description, as in `Echo signal amplitude [dB]`; empty if there is none.
+/// The unit in brackets at the end of a description, as in `Echo signal amplitude [dB]`; empty if
+/// there is none.
 fn unit(description: &str) -> String {
     let inner = description.strip_suffix(']').and_then(|d| d.rsplit_once('['));
     inner.map_or_else(String::new, |(_, unit)| unit.trim().to_owned())

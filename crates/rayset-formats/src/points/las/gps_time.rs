@@ -1,14 +1,15 @@
 //! The GPS times of compressed points.
 //!
-//! After LASzip (M. Isenburg, "LASzip: lossless compression of LiDAR data", 2013, and its items GPSTIME11 version 2 and
-//! POINT14 versions 3 and 4). The bits of a time are treated as an integer. Up to four sequences of times, for example of
-//! several scanners that take turns, are tracked in parallel: the difference to the last time of a sequence is coded as a
-//! multiple of the sequence's step and a remainder. If a point belongs to another sequence than the previous point, a symbol
+//! After LASzip (M. Isenburg, "LASzip: lossless compression of LiDAR data", 2013, and its items
+//! GPSTIME11 version 2 and POINT14 versions 3 and 4). The bits of a time are treated as an integer.
+//! Up to four sequences of times, for example of several scanners that take turns, are tracked in
+//! parallel: the difference to the last time of a sequence is coded as a multiple of the sequence's
+//! step and a remainder. If a point belongs to another sequence than the previous point, a symbol
 //! says so, and another symbol says how the point continues that sequence.
 //!
-//! A writer changes the sequence at most once per point. Damaged or malicious data may change it again and again, millions
-//! of times in a few bytes, because symbols that are almost certain cost almost nothing. Therefore nothing here recurses,
-//! and the number of changes per point is limited.
+//! A writer changes the sequence at most once per point. Damaged or malicious data may change it
+//! again and again, millions of times in a few bytes, because symbols that are almost certain cost
+//! almost nothing. Therefore nothing here recurses, and the number of changes per point is limited.
 
 use std::io::{self, Read};
 
@@ -20,8 +21,8 @@ use laz::record::FieldDecompressor;
 /// Largest number of changes of the sequence for one point. Writers need one.
 const MOST_CHANGES: u32 = 4;
 
-/// Multiples of the step that have symbols of their own: 0 to 500 first, then -1 to -10. The two extremes also represent all
-/// multiples beyond them.
+/// Multiples of the step that have symbols of their own: 0 to 500 first, then -1 to -10. The two
+/// extremes also represent all multiples beyond them.
 const LARGEST: i32 = 500;
 const SMALLEST: i32 = -10;
 /// Symbols of a sequence that has a step, after those of the multiples.
@@ -30,8 +31,8 @@ const NEW: u32 = SAME + 1;
 /// Symbols of a sequence that has no step yet. Symbol 0 means that the time is unchanged.
 const FIRST_STEP: u32 = 1;
 const NEW_WITHOUT_STEP: u32 = 2;
-/// Number of symbols, in both cases, after the one for a new sequence: for the next sequence, the one after it, and the
-/// previous one.
+/// Number of symbols, in both cases, after the one for a new sequence: for the next sequence, the
+/// one after it, and the previous one.
 const CHANGES: u32 = 3;
 
 /// The prediction of a difference, which selects the statistics with which it is coded.
@@ -63,8 +64,8 @@ struct Sequence {
     time: i64,
     /// 0 if there is none yet.
     step: i32,
-    /// Differences with a multiple of 0 or at either extreme since the last one of a single step. After four, the difference
-    /// becomes the step.
+    /// Differences with a multiple of 0 or at either extreme since the last one of a single step.
+    /// After four, the difference becomes the step.
     misses: u8,
 }
 
@@ -74,7 +75,8 @@ pub(super) struct GpsTimes {
     /// The sequence of the last time, and the one that began last, modulo 4.
     current: usize,
     newest: usize,
-    /// Added to symbols. In layered chunks there is no symbol for an unchanged time, which another layer indicates.
+    /// Added to symbols. In layered chunks there is no symbol for an unchanged time, which another
+    /// layer indicates.
     left_out: u32,
     without_step: ArithmeticModel,
     multiple: ArithmeticModel,
@@ -87,7 +89,8 @@ impl GpsTimes {
         Self::new(0, 0)
     }
 
-    /// For a layer, which has only the times that differ from the previous one; `first` is the first time.
+    /// For a layer, which has only the times that differ from the previous one; `first` is the
+    /// first time.
     pub(super) fn layered(first: i64) -> Self {
         Self::new(first, 1)
     }
@@ -113,8 +116,8 @@ impl GpsTimes {
     /// Decodes the bits of the next time.
     ///
     /// # Errors
-    /// [`InvalidData`](io::ErrorKind::InvalidData) if the point changes its sequence more often than any writer does, and
-    /// the errors of the decoder.
+    /// [`InvalidData`](io::ErrorKind::InvalidData) if the point changes its sequence more often
+    /// than any writer does, and the errors of the decoder.
     pub(super) fn next<R: Read>(&mut self, decoder: &mut ArithmeticDecoder<R>) -> io::Result<i64> {
         for _ in 0..=MOST_CHANGES {
             let change = if self.sequences[self.current & 3].step == 0 {
@@ -131,7 +134,8 @@ impl GpsTimes {
         Err(io::Error::new(io::ErrorKind::InvalidData, what))
     }
 
-    /// Continues a sequence that has no step, or returns by how many sequences to advance to the one of the time.
+    /// Continues a sequence that has no step, or returns by how many sequences to advance to the
+    /// one of the time.
     fn without_step<R: Read>(&mut self, decoder: &mut ArithmeticDecoder<R>) -> io::Result<u32> {
         match decoder.decode_symbol(&mut self.without_step)? + self.left_out {
             0 => {}
@@ -146,7 +150,8 @@ impl GpsTimes {
         Ok(0)
     }
 
-    /// Continues a sequence that has a step, or returns by how many sequences to advance to the one of the time.
+    /// Continues a sequence that has a step, or returns by how many sequences to advance to the one
+    /// of the time.
     fn with_step<R: Read>(&mut self, decoder: &mut ArithmeticDecoder<R>) -> io::Result<u32> {
         let symbol = decoder.decode_symbol(&mut self.multiple)?;
         if symbol >= SAME {

@@ -6,13 +6,15 @@ use std::path::Path;
 use crate::points::stretch::Stretch;
 use crate::points::{Place, ReadError};
 
-/// Size in bytes of the header of LAS 1.4; LAS 1.5 adds times that do not affect the layout of the points.
+/// Size in bytes of the header of LAS 1.4; LAS 1.5 adds times that do not affect the layout of the
+/// points.
 const KNOWN_BYTES: usize = 375;
 
 /// Record size of each point format in bytes, without extra bytes.
 const RECORD_BYTES: [u16; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
-/// The contents of the header, as far as cheap checks allow consistent with itself and with the length of the file.
+/// The contents of the header, as far as cheap checks allow consistent with itself and with the
+/// length of the file.
 #[derive(Debug)]
 pub(super) struct Header {
     /// The minor version, such as 4 for LAS 1.4.
@@ -102,7 +104,8 @@ impl Header {
                 return Err(bad(byte, format!("a scale or offset of {}, which is no number", numbers[axis])));
             }
         }
-        // A nonzero legacy count takes precedence over the 64-bit one, as the specification requires if they differ.
+        // A nonzero legacy count takes precedence over the 64-bit one, as the specification
+        // requires if they differ.
         let (legacy, is_14) = (u32_at(107), minor >= 4);
         Ok(Self {
             minor_version: minor,
@@ -128,7 +131,8 @@ impl Header {
         self.record_bytes - usize::from(RECORD_BYTES[usize::from(self.format)])
     }
 
-    /// Upper bound on the byte offset of the end of the points: extended records come after all points.
+    /// Upper bound on the byte offset of the end of the points: extended records come after all
+    /// points.
     pub(super) fn points_end(&self) -> u64 {
         let (start, number) = self.extended;
         if number > 0 && start >= self.points_start { start.min(self.file_bytes) } else { self.file_bytes }

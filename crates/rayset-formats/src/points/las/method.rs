@@ -95,8 +95,8 @@ impl Method {
         })
     }
 
-    /// Size in bytes of what precedes the layers of a chunk: an uncompressed point, the number of points, and the sizes of
-    /// the layers.
+    /// Size in bytes of what precedes the layers of a chunk: an uncompressed point, the number of
+    /// points, and the sizes of the layers.
     pub(super) fn preamble_bytes(&self) -> usize {
         self.record_bytes + 4 + 4 * self.layers
     }

@@ -1,16 +1,18 @@
 //! LAS 1.0 to 1.5 and LAZ, in batches.
 //!
-//! Follows the ASPRS LAS Specification 1.4 R15 and, for compressed points, LASzip as its authors describe it (M. Isenburg,
-//! "LASzip: lossless compression of LiDAR data", 2013, and the layout of its record and tables in LASzip itself). The `laz`
-//! crate decompresses the records, except for the items with GPS times, for which a few bytes could make it recurse until
-//! its stack overflows. Everything around the records is read here, because a length in a file is only a claim: each is
-//! checked against the file before it is used to allocate or to skip. Memory does not grow with the file, its extended
-//! records or its number of chunks. Only a chunk of points compressed in layers (point formats 6 to 10) is held as a whole,
-//! which [`memory_needed`](PointSource::memory_needed) includes.
+//! Follows the ASPRS LAS Specification 1.4 R15 and, for compressed points, LASzip as its authors
+//! describe it (M. Isenburg, "LASzip: lossless compression of LiDAR data", 2013, and the layout of
+//! its record and tables in LASzip itself). The `laz` crate decompresses the records, except for
+//! the items with GPS times, for which a few bytes could make it recurse until its stack overflows.
+//! Everything around the records is read here, because a length in a file is only a claim: each is
+//! checked against the file before it is used to allocate or to skip. Memory does not grow with the
+//! file, its extended records or its number of chunks. Only a chunk of points compressed in layers
+//! (point formats 6 to 10) is held as a whole, which [`memory_needed`](PointSource::memory_needed)
+//! includes.
 //!
-//! Not supported: waveforms, the hierarchy of COPC files (their points are read in file order), and LASzip's compatibility
-//! mode, in which points of formats 6 to 10 are stored as other formats; they are read in the format in which they are
-//! stored.
+//! Not supported: waveforms, the hierarchy of COPC files (their points are read in file order), and
+//! LASzip's compatibility mode, in which points of formats 6 to 10 are stored as other formats;
+//! they are read in the format in which they are stored.
 
 mod chunk_table;
 mod compressed;
@@ -61,7 +63,8 @@ enum Points {
 }
 
 impl LasSource {
-    /// Opens a file, reads its header and variable length records, and checks them against the file.
+    /// Opens a file, reads its header and variable length records, and checks them against the
+    /// file.
     ///
     /// # Errors
     /// [`ReadError`] if the file cannot be opened, is truncated, or violates its format.
@@ -171,8 +174,8 @@ fn plain_points(path: &Path, file: &Shared, header: &Header) -> Result<Stretch, 
     Ok(Stretch::new(file, start, end))
 }
 
-/// Whether coordinates are degrees, though no reference system says so: they are stored in millionths or less, and heights are
-/// not.
+/// Whether coordinates are degrees, though no reference system says so: they are stored in
+/// millionths or less, and heights are not.
 fn is_in_degrees(header: &Header) -> bool {
     let ([x, y, z], offset) = (header.scale, header.offset);
     x.max(y) <= 1e-6 && z >= 1e-5 && offset[0].abs() <= 180.0 && offset[1].abs() <= 90.0

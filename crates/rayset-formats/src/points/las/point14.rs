@@ -1,19 +1,21 @@
 //! Points of formats 6 to 10 (the fields up to the GPS time), compressed in layers.
 //!
-//! The fields are those of the ASPRS LAS Specification 1.4 R15, and their compression is LASzip's item POINT14, versions 3
-//! and 4 (M. Isenburg, "LASzip: lossless compression of LiDAR data", 2013, which describes its methods: adaptive arithmetic
-//! coding with contexts, and integers as residuals of a prediction; and LASzip itself, which extended them to LAS 1.4). A
-//! chunk has nine layers, each a separate arithmetic code, so that a reader can skip those that it does not need. The first
-//! one gives, for each point, its scanner channel, which fields differ from the last point of that channel, and its x and y.
-//! An empty layer is a field that never changes.
+//! The fields are those of the ASPRS LAS Specification 1.4 R15, and their compression is LASzip's
+//! item POINT14, versions 3 and 4 (M. Isenburg, "LASzip: lossless compression of LiDAR data", 2013,
+//! which describes its methods: adaptive arithmetic coding with contexts, and integers as residuals
+//! of a prediction; and LASzip itself, which extended them to LAS 1.4). A chunk has nine layers,
+//! each a separate arithmetic code, so that a reader can skip those that it does not need. The
+//! first one gives, for each point, its scanner channel, which fields differ from the last point of
+//! that channel, and its x and y. An empty layer is a field that never changes.
 //!
 //! Each channel has its own statistics, which start at its first point. They also depend on:
 //!
-//! - *place among returns*: whether a return is the first of its pulse, the last, both or neither; that of the last point,
-//!   together with whether its time had changed, for what changes next, and that of the point itself for classification and
-//!   intensity;
-//! - *group of returns*: six groups of return number and number of returns, by which x and y are predicted, together with
-//!   whether the time changed: most points with a new time follow the scan, and the others follow their pulse;
+//! - *place among returns*: whether a return is the first of its pulse, the last, both or neither;
+//!   that of the last point, together with whether its time had changed, for what changes next, and
+//!   that of the point itself for classification and intensity;
+//! - *group of returns*: six groups of return number and number of returns, by which x and y are
+//!   predicted, together with whether the time changed: most points with a new time follow the
+//!   scan, and the others follow their pulse;
 //! - *depth*: how many returns of the pulse are still to come, by which z is predicted;
 //! - *spread*: how many bits the corrections of x and y took, which predicts those of y and z.
 
@@ -29,7 +31,8 @@ use super::gps_time::GpsTimes;
 
 /// Size of the fields in bytes.
 const BYTES: usize = 30;
-/// Bits of the selection that include a layer, in the order of the layers. The first layer cannot be skipped.
+/// Bits of the selection that include a layer, in the order of the layers. The first layer cannot
+/// be skipped.
 const LAYERS: [u32; 9] = [
     DecompressionSelection::ALL,
     DecompressionSelection::Z,
@@ -42,8 +45,8 @@ const LAYERS: [u32; 9] = [
     DecompressionSelection::GPS_TIME,
 ];
 
-/// Bits for the fields that differ from the last point of the channel. The two lowest are for the return number: unchanged,
-/// the next one, the previous one, or another.
+/// Bits for the fields that differ from the last point of the channel. The two lowest are for the
+/// return number: unchanged, the next one, the previous one, or another.
 const RETURN_NUMBER: u32 = 3;
 const RETURNS: u32 = 1 << 2;
 const SCAN_ANGLE: u32 = 1 << 3;
@@ -51,8 +54,8 @@ const TIME: u32 = 1 << 4;
 const POINT_SOURCE: u32 = 1 << 5;
 const CHANNEL: u32 = 1 << 6;
 
-/// Group by number of returns and return number. Combinations that no pulse can have are included, because they occur in
-/// files.
+/// Group by number of returns and return number. Combinations that no pulse can have are included,
+/// because they occur in files.
 const GROUPS: [[u8; 16]; 16] = [
     [0, 1, 2, 3, 4, 5, 3, 4, 4, 5, 5, 5, 5, 5, 5, 5],
     [1, 0, 1, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3],
@@ -80,7 +83,8 @@ struct Point {
     intensity: u16,
     return_number: u8,
     returns: u8,
-    /// From bit 0 on: the four classification flags, the scan direction and the edge of a flight line.
+    /// From bit 0 on: the four classification flags, the scan direction and the edge of a flight
+    /// line.
     flags: u8,
     classification: u8,
     user_data: u8,
@@ -133,12 +137,13 @@ impl Point {
     }
 }
 
-/// Approximates a running median: each new number replaces either the smallest or the largest of five.
+/// Approximates a running median: each new number replaces either the smallest or the largest of
+/// five.
 #[derive(Clone, Copy)]
 struct Median {
     sorted: [i32; 5],
-    /// Which of the two is replaced next: the largest until a number is not below the median, then the smallest until one is
-    /// not above it.
+    /// Which of the two is replaced next: the largest until a number is not below the median, then
+    /// the smallest until one is not above it.
     drops_greatest: bool,
 }
 
@@ -342,8 +347,8 @@ pub(super) struct Point14 {
     /// The channels that have occurred.
     channels: [Option<Box<Channel>>; 4],
     current: usize,
-    /// Whether the channel of every point is passed to the later items, as from version 4 on. Version 3 passes it only if
-    /// the channel changes, and channel 0 otherwise.
+    /// Whether the channel of every point is passed to the later items, as from version 4 on.
+    /// Version 3 passes it only if the channel changes, and channel 0 otherwise.
     always_tells_channel: bool,
 }
 
@@ -413,7 +418,8 @@ impl<R: Read + Seek> LayeredFieldDecompressor<R> for Point14 {
         Ok(())
     }
 
-    /// Allocates by the sizes of the layers, which the caller has checked against the rest of the chunk.
+    /// Allocates by the sizes of the layers, which the caller has checked against the rest of the
+    /// chunk.
     fn read_layers(&mut self, source: &mut R) -> io::Result<()> {
         for (layer, bit) in self.layers.iter_mut().zip(LAYERS) {
             layer.is_read = layer.bytes > 0 && self.selection & bit != 0;

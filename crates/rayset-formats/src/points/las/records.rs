@@ -1,4 +1,5 @@
-//! Variable length records, and extended ones: the few that are needed are read, and all others are skipped.
+//! Variable length records, and extended ones: the few that are needed are read, and all others are
+//! skipped.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -10,7 +11,8 @@ use rayset_store::storage::input_file::Shared;
 
 /// Longest record that is read, in bytes. Ordinary records cannot be longer.
 const LONGEST: u64 = 64 << 10;
-/// Largest number of extended records that are examined; points need none of them, and files have only a few.
+/// Largest number of extended records that are examined; points need none of them, and files have
+/// only a few.
 const EXTENDED_LOOKED_AT: u32 = 100_000;
 /// Size in bytes of the head of a record: of an ordinary one, and of an extended one.
 const PREFIX: [u64; 2] = [54, 60];

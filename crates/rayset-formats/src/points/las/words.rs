@@ -10,8 +10,8 @@ pub(super) fn text(field: &[u8]) -> String {
     text.trim().to_owned()
 }
 
-/// The version, the point format, and the names of the system and the program that made the points. It is the same for a
-/// file and its compressed form.
+/// The version, the point format, and the names of the system and the program that made the points.
+/// It is the same for a file and its compressed form.
 pub(super) fn description(header: &Header) -> String {
     let mut words = format!("LAS 1.{}, point format {}", header.minor_version, header.format);
     for field in [&header.system, &header.software] {
@@ -24,8 +24,8 @@ pub(super) fn description(header: &Header) -> String {
     words
 }
 
-/// The coordinate reference system: the WKT of the file, or `EPSG:` and a number. If a file has both, the one that its
-/// header indicates.
+/// The coordinate reference system: the WKT of the file, or `EPSG:` and a number. If a file has
+/// both, the one that its header indicates.
 pub(super) fn reference_system(header: &Header, records: &Records) -> String {
     let wkt = records.wkt.as_deref().map(text).filter(|wkt| !wkt.is_empty());
     let code = records.geo_keys.as_deref().and_then(epsg).map(|code| format!("EPSG:{code}"));
@@ -33,11 +33,12 @@ pub(super) fn reference_system(header: &Header, records: &Records) -> String {
     in_order.into_iter().flatten().next().unwrap_or_default()
 }
 
-/// The EPSG code of the projected reference system, otherwise of the geographic one, in a directory of GeoTIFF keys; `None`
-/// if there is none, or only a user-defined one.
+/// The EPSG code of the projected reference system, otherwise of the geographic one, in a directory
+/// of GeoTIFF keys; `None` if there is none, or only a user-defined one.
 fn epsg(directory: &[u8]) -> Option<u16> {
     let numbers: Vec<u16> = directory.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
-    // After four numbers, the last of which is the number of keys, each key consists of name, place, count and value.
+    // After four numbers, the last of which is the number of keys, each key consists of name,
+    // place, count and value.
     let keys = numbers.get(4..)?.chunks_exact(4).take(usize::from(numbers[3]));
     let code = |name: u16| {
         keys.clone().find_map(|key| match *key {

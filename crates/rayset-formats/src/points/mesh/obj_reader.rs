@@ -1,5 +1,6 @@
-//! The statements of a Wavefront OBJ file that make points: vertices, with colours if they have any, and faces. All others
-//! (normals, texture coordinates, groups, materials, curves) are passed over.
+//! The statements of a Wavefront OBJ file that make points: vertices, with colours if they have
+//! any, and faces. All others (normals, texture coordinates, groups, materials, curves) are passed
+//! over.
 
 use std::path::Path;
 
@@ -74,7 +75,8 @@ impl ObjReader {
         Ok(Some(Statement::Others))
     }
 
-    /// Reads a line, and those that a backslash at its end continues it with. Returns false at the end of the file.
+    /// Reads a line, and those that a backslash at its end continues it with. Returns false at the
+    /// end of the file.
     fn read_line(&mut self) -> Result<bool, ReadError> {
         self.line.clear();
         let found = self.lines.append(&mut self.line)?;
@@ -108,7 +110,8 @@ fn shown(word: &[u8]) -> String {
     roles::excerpt(&String::from_utf8_lossy(word))
 }
 
-/// Position, and colour where six numbers or more are given. A fourth number alone is the weight of rational curves.
+/// Position, and colour where six numbers or more are given. A fourth number alone is the weight of
+/// rational curves.
 fn vertex<'a>(words: impl Iterator<Item = &'a [u8]>) -> Result<([f64; 3], Option<[f32; 3]>), String> {
     let (mut numbers, mut count) = ([0.0; 6], 0);
     for word in words.take(6) {

@@ -24,7 +24,8 @@ pub(in crate::points) enum MeshFormat {
 }
 
 impl MeshFormat {
-    /// By the name of a file. PLY files are known by what they begin with, which their reader looks at.
+    /// By the name of a file. PLY files are known by what they begin with, which their reader looks
+    /// at.
     fn of(path: &Path) -> Self {
         let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
         match extension.to_str() {
@@ -45,13 +46,13 @@ impl MeshFormat {
     }
 }
 
-/// Points on the surface of a mesh, evenly distributed by area; the same for the same mesh and number. The mesh is held in
-/// memory: 24 bytes per vertex, with a colour 36, and 20 bytes per triangle,
-/// with a colour of its own 32.
+/// Points on the surface of a mesh, evenly distributed by area; the same for the same mesh and
+/// number. The mesh is held in memory: 24 bytes per vertex, with a colour 36, and 20 bytes per
+/// triangle, with a colour of its own 32.
 ///
-/// Equal shares of the area, triangle after triangle, have a point each. Where in its triangle it lies follows from its
-/// number by a sequence of low discrepancy, of which any part in a row is spread evenly; random points would leave holes of
-/// several spacings.
+/// Equal shares of the area, triangle after triangle, have a point each. Where in its triangle it
+/// lies follows from its number by a sequence of low discrepancy, of which any part in a row is
+/// spread evenly; random points would leave holes of several spacings.
 pub struct MeshSource {
     path: PathBuf,
     format: MeshFormat,
@@ -70,11 +71,13 @@ pub struct MeshSource {
 }
 
 impl MeshSource {
-    /// Reads the vertices and faces of a PLY, OBJ, OFF or STL file. Colours of vertices, if all have them, are interpolated;
-    /// otherwise points have the colours of their faces, if all of these have any.
+    /// Reads the vertices and faces of a PLY, OBJ, OFF or STL file. Colours of vertices, if all
+    /// have them, are interpolated; otherwise points have the colours of their faces, if all of
+    /// these have any.
     ///
     /// # Errors
-    /// [`ReadError`] if it cannot be read, has no faces with an area, or a face refers to a vertex that does not exist.
+    /// [`ReadError`] if it cannot be read, has no faces with an area, or a face refers to a vertex
+    /// that does not exist.
     pub fn open(path: impl AsRef<Path>, points: u64) -> Result<Self, ReadError> {
         let path = path.as_ref();
         let mut source = Self::survey(path, MeshFormat::of(path), Some(points))?;
@@ -82,8 +85,8 @@ impl MeshSource {
         Ok(source)
     }
 
-    /// Reads a file through without keeping its mesh, which is loaded when points are asked for. Without a number of
-    /// `points`, this follows from that of the triangles.
+    /// Reads a file through without keeping its mesh, which is loaded when points are asked for.
+    /// Without a number of `points`, this follows from that of the triangles.
     ///
     /// # Errors
     /// As [`open`](Self::open), but for faces without an area.
@@ -124,7 +127,8 @@ impl MeshSource {
         })
     }
 
-    /// The usual number of points on the faces of a file; `None` if it has none with an area, or is damaged.
+    /// The usual number of points on the faces of a file; `None` if it has none with an area, or is
+    /// damaged.
     pub(in crate::points) fn of_faces(path: &Path, format: MeshFormat) -> Option<Self> {
         let mut source = Self::survey(path, format, None).ok().filter(|source| source.triangles() > 0)?;
         source.load().ok()?;
@@ -227,8 +231,9 @@ impl PointSource for MeshSource {
     }
 }
 
-/// The shares of the corners of a triangle in the point of this number: Roberts's sequence R2 in a square, which is folded
-/// to a triangle such that areas remain and neighbours stay near each other (Heitz 2019).
+/// The shares of the corners of a triangle in the point of this number: Roberts's sequence R2 in a
+/// square, which is folded to a triangle such that areas remain and neighbours stay near each other
+/// (Heitz 2019).
 fn shares(number: u64) -> [f64; 3] {
     /// 1/g and 1/g², where g³ = g + 1, in units of 2⁻⁶⁴.
     const STEPS: [u64; 2] = [0xc13f_a9a9_02a6_328f, 0x91e1_0da5_c79e_7b1c];

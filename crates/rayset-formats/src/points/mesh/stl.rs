@@ -1,4 +1,5 @@
-//! Meshes in STL files, binary and ASCII. Each triangle has vertices of its own. Normals and colours are not read.
+//! Meshes in STL files, binary and ASCII. Each triangle has vertices of its own. Normals and
+//! colours are not read.
 
 use std::io::{self, BufReader, Read};
 use std::path::Path;

@@ -101,7 +101,8 @@ pub(super) struct Mesh {
 }
 
 impl Mesh {
-    /// Room for what was counted when the file was read to its end, which bounds it by what the file holds.
+    /// Room for what was counted when the file was read to its end, which bounds it by what the
+    /// file holds.
     pub(super) fn with_room(survey: &Survey, cancel: &CancelToken) -> Self {
         let (vertices, triangles) = (survey.vertices as usize, survey.triangles as usize);
         let has_colors = survey.has_colors();

@@ -41,8 +41,9 @@ pub(super) fn dimensions(shape: &[u64]) -> Vec<u64> {
 }
 
 impl Array {
-    /// The rows of an array of one or two dimensions. With two, three rows of more than 64 numbers are three axes. `None`
-    /// if it has other dimensions, or rows that are too long. Of three and more dimensions those of length one do not count.
+    /// The rows of an array of one or two dimensions. With two, three rows of more than 64 numbers
+    /// are three axes. `None` if it has other dimensions, or rows that are too long. Of three and
+    /// more dimensions those of length one do not count.
     pub(super) fn rows(&self) -> Option<Rows> {
         let fortran = self.header.fortran;
         match *dimensions(&self.header.shape) {

@@ -88,8 +88,8 @@ impl Named {
         }
     }
 
-    /// Takes x, y and z as positions, and the rest as columns. `None` if the three are not there. `by` says where the names
-    /// come from.
+    /// Takes x, y and z as positions, and the rest as columns. `None` if the three are not there.
+    /// `by` says where the names come from.
     fn finish(self, rows: u64, description: String, by: &str) -> Option<Layout> {
         let [Some(x), Some(y), Some(z)] = roles::axes(&self.names) else { return None };
         let (mut infos, mut columns) = (Vec::new(), Vec::new());
@@ -217,7 +217,8 @@ impl Layout {
                 && agreeing(array) == most
                 && roles::may_be_positions(&base(array))
         };
-        // By its name; three arrays; a structured one; one that others agree with; else the only one that can be.
+        // By its name; three arrays; a structured one; one that others agree with; else the only
+        // one that can be.
         let position = roles::POSITIONS.iter().find_map(called);
         let position = match position {
             None if axes() => None,

@@ -1,15 +1,17 @@
 //! Arrays of NumPy as points: NPY files, and NPZ archives of several.
 //!
-//! **Plain arrays** have a row a point, N × 3 or wider, in either order of memory; three rows of more than 64 numbers are x,
-//! y and z. Numbers behind the first three are named as in text files: four are x y z intensity, six x y z red green blue;
-//! others are `column_3` and so on. Dimensions of length one, as those of batches are, do not count. **Structured arrays** have fields x, y and z, or one
-//! of three numbers with a name of positions. **Archives** have an array with such a name, or x, y and z, or an array of three
-//! numbers that others agree with in its rows and whose name is of nothing else; every other array with as many rows is a
-//! column. Of fields of three numbers the columns are `name_x`, `name_y`, `name_z`; of those with
-//! a name of colours, red, green and blue.
+//! **Plain arrays** have a row a point, N × 3 or wider, in either order of memory; three rows of
+//! more than 64 numbers are x, y and z. Numbers behind the first three are named as in text files:
+//! four are x y z intensity, six x y z red green blue; others are `column_3` and so on. Dimensions
+//! of length one, as those of batches are, do not count. **Structured arrays** have fields x, y and
+//! z, or one of three numbers with a name of positions. **Archives** have an array with such a
+//! name, or x, y and z, or an array of three numbers that others agree with in its rows and whose
+//! name is of nothing else; every other array with as many rows is a column. Of fields of three
+//! numbers the columns are `name_x`, `name_y`, `name_z`; of those with a name of colours, red,
+//! green and blue.
 //!
-//! Numbers are integers and floating-point numbers of 8 to 64 bits, in both byte orders; of `float16` the columns are of single
-//! precision.
+//! Numbers are integers and floating-point numbers of 8 to 64 bits, in both byte orders; of
+//! `float16` the columns are of single precision.
 
 mod array;
 mod layout;
@@ -27,8 +29,8 @@ const STEP_BYTES: usize = 512 << 10;
 /// What a strand may need besides: the buffer of its file, and the window of the decompressor.
 const STRAND_BYTES: u64 = 64 << 10;
 
-/// Whether a file is an array of NumPy that can be points, or an archive of arrays. Arrays of three and more dimensions are
-/// volumes.
+/// Whether a file is an array of NumPy that can be points, or an archive of arrays. Arrays of three
+/// and more dimensions are volumes.
 pub(super) fn begins(head: &[u8]) -> bool {
     if !head.starts_with(MAGIC) {
         return begins_with_array(head);
@@ -52,7 +54,8 @@ pub(super) struct NpySource {
 }
 
 impl NpySource {
-    /// Opens a file. `names` are those of all columns: of a plain array, or of the fields or arrays that have a row a point.
+    /// Opens a file. `names` are those of all columns: of a plain array, or of the fields or arrays
+    /// that have a row a point.
     pub(super) fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let of_fault = |fault: Fault| match fault {

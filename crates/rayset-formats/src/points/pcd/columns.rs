@@ -17,8 +17,8 @@ pub(super) struct Origin {
 /// The largest whole number that three colours make.
 const LARGEST_COLOR: f64 = 16_777_215.0;
 
-/// The bits of colours in a number. Floating-point numbers have them as their own bits, which makes numbers below 1e-37, or,
-/// if a program has converted them, as whole numbers.
+/// The bits of colours in a number. Floating-point numbers have them as their own bits, which makes
+/// numbers below 1e-37, or, if a program has converted them, as whole numbers.
 fn packed_bits(kind: ColumnType, bytes: &[u8]) -> [u8; 4] {
     let number = if kind.is_integer() { 0.0 } else { kind.decode(bytes) };
     if kind.bytes() > 4 || (1.0..=LARGEST_COLOR).contains(&number) && number.fract() == 0.0 {
@@ -28,8 +28,8 @@ fn packed_bits(kind: ColumnType, bytes: &[u8]) -> [u8; 4] {
 }
 
 impl Origin {
-    /// Calls `each` with the numbers of `rows` points: the field begins at byte `start` of `bytes`, and again every `stride`
-    /// bytes.
+    /// Calls `each` with the numbers of `rows` points: the field begins at byte `start` of `bytes`,
+    /// and again every `stride` bytes.
     pub(super) fn coordinates(
         self,
         bytes: &[u8],
@@ -94,7 +94,8 @@ impl Columns {
         Ok(columns)
     }
 
-    /// Colours in the bits of a number of any type: alpha, red, green and blue, from the highest on.
+    /// Colours in the bits of a number of any type: alpha, red, green and blue, from the highest
+    /// on.
     fn add_packed_color(&mut self, field: usize, info: &Field) {
         let has_alpha = info.name == "rgba";
         // With alpha, the bits of a float may be those of a whole number.
@@ -130,7 +131,8 @@ impl Columns {
     }
 }
 
-/// Whether a field is a number of which the bits can be colours. In double precision, it is a whole number.
+/// Whether a field is a number of which the bits can be colours. In double precision, it is a whole
+/// number.
 fn is_packed(info: &Field) -> bool {
     info.count == 1 && (info.kind.bytes() == 4 || info.kind == ColumnType::F64)
 }

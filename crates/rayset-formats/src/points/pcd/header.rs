@@ -43,7 +43,8 @@ pub(super) struct Header {
     pub(super) fields: Vec<Field>,
     pub(super) points: u64,
     pub(super) data: Data,
-    /// Place and orientation of the sensor as written; empty if it is the origin, or nothing is said.
+    /// Place and orientation of the sensor as written; empty if it is the origin, or nothing is
+    /// said.
     pub(super) viewpoint: String,
     /// Length of the header in bytes and in lines.
     pub(super) bytes: u64,

@@ -1,10 +1,10 @@
 //! PCD, the format of the Point Cloud Library: ASCII, binary, and compressed with LZF.
 //!
-//! Fields keep their names and types. A field of several numbers becomes as many columns, as in `fpfh_0`; colours packed
-//! into `rgb` or `rgba`, whatever their type, become `red`, `green`, `blue` and `alpha`, of a byte each; fields called `_`
-//! are padding. Points of grids that are NaN are delivered as such. As in PCL itself, the viewpoint is not applied: points
-//! are where the file says, and the description says from where they were seen. Lines end with LF, CR LF, or
-//! CR alone.
+//! Fields keep their names and types. A field of several numbers becomes as many columns, as in
+//! `fpfh_0`; colours packed into `rgb` or `rgba`, whatever their type, become `red`, `green`,
+//! `blue` and `alpha`, of a byte each; fields called `_` are padding. Points of grids that are NaN
+//! are delivered as such. As in PCL itself, the viewpoint is not applied: points are where the file
+//! says, and the description says from where they were seen. Lines end with LF, CR LF, or CR alone.
 
 mod columns;
 mod header;
@@ -24,7 +24,8 @@ use super::{Place, PointBatch, PointSource, ReadError, Schema};
 /// Bytes of records that are decoded at a time; a longer record is decoded on its own.
 const BLOCK_BYTES: usize = 128 << 10;
 
-/// Whether a file that begins with these bytes is PCD. Some writers leave out the comment that names it.
+/// Whether a file that begins with these bytes is PCD. Some writers leave out the comment that
+/// names it.
 pub(super) fn begins(head: &[u8]) -> bool {
     let words = |text: &[u8]| head.windows(text.len()).any(|window| window == text);
     let lines = |first: &[u8]| [b'\n', b'\r'].iter().any(|end| words(&[&[*end], first].concat()));
@@ -146,7 +147,8 @@ impl PcdSource {
         Ok(())
     }
 
-    /// The bytes in which a field of the current `rows` points is, its start in them, and the bytes to the next.
+    /// The bytes in which a field of the current `rows` points is, its start in them, and the bytes
+    /// to the next.
     fn bytes(&mut self, origin: Origin, rows: usize) -> Result<(&[u8], usize, usize), ReadError> {
         let field = origin.field;
         match &mut self.body {

@@ -1,7 +1,8 @@
 //! The points of a compressed file: all numbers of a field, then all of the next.
 //!
-//! Every field has a decoder of its own, which starts where the field begins. To find these places all data are decoded once
-//! when the file is opened; memory then depends on the number of fields alone.
+//! Every field has a decoder of its own, which starts where the field begins. To find these places
+//! all data are decoded once when the file is opened; memory then depends on the number of fields
+//! alone.
 
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -91,8 +92,8 @@ impl Transposed {
         fields.iter().map(|field| (DECODER_BYTES + rows * field.bytes()) as u64).sum()
     }
 
-    /// The bytes of a field of `rows` points from point `first` on. These are the points that were read last, or come after
-    /// them.
+    /// The bytes of a field of `rows` points from point `first` on. These are the points that were
+    /// read last, or come after them.
     pub(super) fn read(
         &mut self,
         path: &Path,

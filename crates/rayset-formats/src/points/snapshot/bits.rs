@@ -1,5 +1,5 @@
-//! Numbers of datasets as their bits. The library is compiled anew for each type that it reads; it is large, so that it reads
-//! bits of four sizes, whatever numbers of this size they are.
+//! Numbers of datasets as their bits. The library is compiled anew for each type that it reads; it
+//! is large, so that it reads bits of four sizes, whatever numbers of this size they are.
 
 use hdf5_reader::error::Error;
 use hdf5_reader::{ByteOrder, Datatype, H5Type};

@@ -1,5 +1,6 @@
-//! The HDF5 library as it is used here: nothing is mapped into memory, links into other files are not followed, what a file
-//! says about itself allocates no more than the bounds below, and its panics are errors.
+//! The HDF5 library as it is used here: nothing is mapped into memory, links into other files are
+//! not followed, what a file says about itself allocates no more than the bounds below, and its
+//! panics are errors.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -208,11 +209,13 @@ pub(super) fn stored(data: &Dataset) -> Result<Option<Stored>, Error> {
     }))
 }
 
-/// Places and sizes of the parts of a number of half precision, as the format has them from byte 8 of a datatype on: 16 bits
-/// from bit 0 on, 5 of exponent from bit 10 on, 10 of fraction from bit 0 on, a bias of 15.
+/// Places and sizes of the parts of a number of half precision, as the format has them from byte 8
+/// of a datatype on: 16 bits from bit 0 on, 5 of exponent from bit 10 on, 10 of fraction from bit 0
+/// on, a bias of 15.
 const HALF: [u8; 12] = [0, 0, 16, 0, 10, 5, 0, 10, 15, 0, 0, 0];
 
-/// Whether the floating-point numbers of two bytes of a dataset are of half precision; `bfloat16` is not.
+/// Whether the floating-point numbers of two bytes of a dataset are of half precision; `bfloat16`
+/// is not.
 fn is_half(data: &Dataset) -> Result<bool, Error> {
     Ok(data.raw_datatype()?.get(8..20) == Some(&HALF[..]))
 }

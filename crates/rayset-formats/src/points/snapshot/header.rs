@@ -15,8 +15,8 @@ pub(super) struct Header {
     pub(super) is_virtual: bool,
     /// Mass of each type whose particles all have the same; 0 for others.
     masses: Vec<f64>,
-    /// H/h, the radius of compact support in smoothing lengths of SWIFT, and the kernel whose it is. `None` if it was not
-    /// written by SWIFT.
+    /// H/h, the radius of compact support in smoothing lengths of SWIFT, and the kernel whose it
+    /// is. `None` if it was not written by SWIFT.
     pub(super) gamma: Option<(f64, String)>,
     redshift: Option<f64>,
     time: Option<f64>,
@@ -24,8 +24,8 @@ pub(super) struct Header {
     hubble: Option<f64>,
 }
 
-/// Radius of compact support in smoothing lengths of the kernels of SWIFT in three dimensions, by the beginnings of their
-/// names (Dehnen and Aly 2012, table 1).
+/// Radius of compact support in smoothing lengths of the kernels of SWIFT in three dimensions, by
+/// the beginnings of their names (Dehnen and Aly 2012, table 1).
 const GAMMAS: [(&str, f64); 6] = [
     ("Cubic spline", 1.825_742),
     ("Quartic spline", 2.018_932),

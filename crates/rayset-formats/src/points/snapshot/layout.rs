@@ -67,7 +67,8 @@ pub(super) fn positions(file: &File, group: &Group) -> Result<Table, ReadError> 
     Ok(table)
 }
 
-/// The unit of the masses of a file, which is one: that of a dataset of masses of any type, otherwise that of the whole snapshot.
+/// The unit of the masses of a file, which is one: that of a dataset of masses of any type,
+/// otherwise that of the whole snapshot.
 fn unit_of_masses(file: &File) -> Result<String, ReadError> {
     for kind in 0..MOST_TYPES {
         let Some(group) = group_of(file, kind)? else { continue };
@@ -233,8 +234,8 @@ impl TypeLayout {
     }
 }
 
-/// The columns of all types that are read, each with where it comes from. Of numbers that some of the types do not have
-/// these are NaN; integers that not all of them have are left out.
+/// The columns of all types that are read, each with where it comes from. Of numbers that some of
+/// the types do not have these are NaN; integers that not all of them have are left out.
 pub(super) fn columns(types: &[TypeLayout]) -> Vec<(ColumnInfo, Supply)> {
     let Some(first) = types.first() else { return Vec::new() };
     let common = |of: fn(&TypeLayout) -> ColumnType| types.iter().map(of).reduce(ColumnType::common);
@@ -286,7 +287,8 @@ pub(super) struct Renamed {
     pub(super) axes: [usize; 3],
 }
 
-/// The columns under the given names, which begin with those of the three coordinates; `-` leaves a column out.
+/// The columns under the given names, which begin with those of the three coordinates; `-` leaves a
+/// column out.
 pub(super) fn renamed(
     columns: Vec<(ColumnInfo, Supply)>,
     names: Option<&[String]>,

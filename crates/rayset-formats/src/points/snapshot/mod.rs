@@ -1,8 +1,9 @@
-//! Snapshots of simulations in HDF5: GADGET-2, -3 and -4, SWIFT, AREPO, EAGLE, Illustris and IllustrisTNG, in one file or
-//! several.
+//! Snapshots of simulations in HDF5: GADGET-2, -3 and -4, SWIFT, AREPO, EAGLE, Illustris and
+//! IllustrisTNG, in one file or several.
 //!
-//! Their common layout is a group for each type of particle, `PartType0` for gas and so on, with a dataset for each
-//! quantity. Positions are left where they are: a box that is periodic is not wrapped.
+//! Their common layout is a group for each type of particle, `PartType0` for gas and so on, with a
+//! dataset for each quantity. Positions are left where they are: a box that is periodic is not
+//! wrapped.
 
 mod bits;
 mod hdf5;
@@ -21,9 +22,11 @@ use self::table::{Blocks, Table};
 use super::particles::{self, MOST_TYPES};
 use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema, Values, reading, siblings};
 
-/// Memory in bytes for blocks of datasets. Where their chunks are larger together, they are decoded more than once.
+/// Memory in bytes for blocks of datasets. Where their chunks are larger together, they are decoded
+/// more than once.
 const BLOCKS_BYTES: u64 = 48 << 20;
-/// How often a chunk is in memory at most while it is decoded: as it is stored, between filters, and as numbers.
+/// How often a chunk is in memory at most while it is decoded: as it is stored, between filters,
+/// and as numbers.
 const COPIES_OF_A_CHUNK: u64 = 3;
 
 /// The particles of a snapshot.
@@ -54,7 +57,8 @@ struct Part {
 }
 
 impl SnapshotSource {
-    /// Opens all files of the snapshot to which a file belongs. `names` are those of positions and all columns.
+    /// Opens all files of the snapshot to which a file belongs. `names` are those of positions and
+    /// all columns.
     pub(super) fn open(
         path: &Path,
         wanted: Option<&[String]>,
@@ -198,7 +202,8 @@ impl Part {
         self.blocks.iter().find(|(known, _)| known == name).map(|(_, blocks)| blocks)
     }
 
-    /// Loads the blocks with the next row. Returns the number of rows that can be delivered from them.
+    /// Loads the blocks with the next row. Returns the number of rows that can be delivered from
+    /// them.
     fn load(&mut self) -> Result<u64, ReadError> {
         let mut rows = self.positions.load(&self.file, self.row)?;
         for (_, blocks) in &mut self.blocks {

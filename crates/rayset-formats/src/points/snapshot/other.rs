@@ -1,4 +1,5 @@
-//! HDF5 files that are no snapshots: what they are, as far as that can be seen, and what makes points of them.
+//! HDF5 files that are no snapshots: what they are, as far as that can be seen, and what makes
+//! points of them.
 
 use super::hdf5::File;
 use crate::points::ReadError;

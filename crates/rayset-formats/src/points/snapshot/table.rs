@@ -10,8 +10,8 @@ use rayset_base::numbers::{Stored, half};
 
 /// Largest number of numbers in a row.
 const MOST_COMPONENTS: u64 = 64;
-/// Bytes that are read at once of a dataset that is not chunked: so few that allocators keep the memory for the next ones
-/// instead of asking the system for it each time.
+/// Bytes that are read at once of a dataset that is not chunked: so few that allocators keep the
+/// memory for the next ones instead of asking the system for it each time.
 const PLAIN_BYTES: u64 = 48 << 10;
 
 /// A dataset of numbers that has a row for each particle.
@@ -118,7 +118,8 @@ impl Table {
         Ok(values)
     }
 
-    /// The numbers of a selection, each made of its bits; in the memory of these, if it is of their size.
+    /// The numbers of a selection, each made of its bits; in the memory of these, if it is of their
+    /// size.
     fn numbers<B: H5Type, T>(
         &self,
         file: &File,
@@ -147,7 +148,8 @@ impl Blocks {
         Self { table, values, start: 0, end: 0, most_bytes }
     }
 
-    /// Reads the block with this row, unless it is in memory. Returns the number of rows from this one on that are.
+    /// Reads the block with this row, unless it is in memory. Returns the number of rows from this
+    /// one on that are.
     pub(super) fn load(&mut self, file: &File, row: u64) -> Result<u64, ReadError> {
         if !(self.start..self.end).contains(&row) {
             let rows = self.table.block_rows(self.most_bytes);

@@ -2,7 +2,8 @@
 
 use super::hdf5::Attributes;
 
-/// Exponents of the scale factor and of the Hubble parameter, and the factor to CGS units, in the names of each code.
+/// Exponents of the scale factor and of the Hubble parameter, and the factor to CGS units, in the
+/// names of each code.
 struct Names {
     factor: &'static str,
     /// In which the expression for physical units stands, if the code writes one.
@@ -24,8 +25,8 @@ const CODES: [Names; 3] = [
     },
 ];
 
-/// The unit of masses of a whole snapshot, by the attributes of a group about its units or the parameters of its run. Empty if they
-/// state none.
+/// The unit of masses of a whole snapshot, by the attributes of a group about its units or the
+/// parameters of its run. Empty if they state none.
 pub(super) fn of_masses(attributes: &Attributes) -> String {
     // GADGET and its kin have masses over the Hubble parameter, SWIFT has not.
     let names = [("UnitMass_in_g", " h^-1"), ("Unit mass in cgs (U_M)", "")];
@@ -35,8 +36,9 @@ pub(super) fn of_masses(attributes: &Attributes) -> String {
         .map_or_else(String::new, |(factor, over)| format!("{factor:e} cgs{over}"))
 }
 
-/// The unit of a dataset as text, such as `3.085678e21 cgs a h^-1`: the factor to CGS units, and the powers of the scale
-/// factor a and of the Hubble parameter h by which a number is multiplied as well. Empty if none is stated.
+/// The unit of a dataset as text, such as `3.085678e21 cgs a h^-1`: the factor to CGS units, and
+/// the powers of the scale factor a and of the Hubble parameter h by which a number is multiplied
+/// as well. Empty if none is stated.
 pub(super) fn of(attributes: &Attributes) -> String {
     for code in &CODES {
         let Some(factor) = attributes.number(code.factor) else { continue };

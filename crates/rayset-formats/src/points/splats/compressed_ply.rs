@@ -1,5 +1,5 @@
-//! Gaussian splats as PLY compressed by PlayCanvas: every 256 vertices share a chunk, which has the bounds that their packed
-//! integers are fractions of.
+//! Gaussian splats as PLY compressed by PlayCanvas: every 256 vertices share a chunk, which has the
+//! bounds that their packed integers are fractions of.
 //!
 //! Chunks and vertices are two elements of the file, read side by side.
 
@@ -13,8 +13,8 @@ use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schem
 
 /// Vertices that share a chunk.
 const CHUNK: u64 = 256;
-/// The bounds of a chunk: smallest and largest positions, logarithms of deviations, and colours, which are 0 and 1 where a
-/// file does not have them.
+/// The bounds of a chunk: smallest and largest positions, logarithms of deviations, and colours,
+/// which are 0 and 1 where a file does not have them.
 const BOUNDS: [&str; 18] = [
     "min_x",
     "min_y",
@@ -130,7 +130,8 @@ impl CompressedPlySource {
     }
 }
 
-/// The elements of chunks and vertices, and whether there are coefficients of view-dependent colours.
+/// The elements of chunks and vertices, and whether there are coefficients of view-dependent
+/// colours.
 fn elements(header: &Header) -> Result<(&Element, &Element, bool), String> {
     let element = |name: &str| header.elements.iter().find(|e| e.name == name);
     let vertex = element("vertex").ok_or("no `vertex` element")?;

@@ -1,21 +1,24 @@
-//! What a Gaussian of a splat file becomes: a round point that absorbs as much light, on average over all directions.
+//! What a Gaussian of a splat file becomes: a round point that absorbs as much light, on average
+//! over all directions.
 //!
-//! A splat is an ellipsoidal Gaussian whose projection is drawn with an opacity of `opacity·exp(−d²/2s²)` at the distance d
-//! from its centre (Kerbl et al., *3D Gaussian Splatting for Real-Time Radiance Field Rendering*, 2023). A point here has
-//! one radius, so the ellipsoid is replaced by the ball that has, on average over all directions, the same shadow: by
-//! Cauchy's theorem, that of the same surface area. A thin disc keeps its coverage this way; with the volume kept instead
-//! (the geometric mean of the deviations), surfaces would fall apart into specks.
+//! A splat is an ellipsoidal Gaussian whose projection is drawn with an opacity of
+//! `opacity·exp(−d²/2s²)` at the distance d from its centre (Kerbl et al., *3D Gaussian Splatting
+//! for Real-Time Radiance Field Rendering*, 2023). A point here has one radius, so the ellipsoid is
+//! replaced by the ball that has, on average over all directions, the same shadow: by Cauchy's
+//! theorem, that of the same surface area. A thin disc keeps its coverage this way; with the volume
+//! kept instead (the geometric mean of the deviations), surfaces would fall apart into specks.
 //!
-//! Its weight is the extinction at its centre. The line through the centre of a Gaussian of deviation s and peak w has an
-//! optical depth of w·s·√(2π), which has to be −ln(1 − opacity). Extinctions add up along a ray as opacities of splats
-//! multiply, so overlapping splats are as opaque as in their own renderers.
+//! Its weight is the extinction at its centre. The line through the centre of a Gaussian of
+//! deviation s and peak w has an optical depth of w·s·√(2π), which has to be −ln(1 − opacity).
+//! Extinctions add up along a ray as opacities of splats multiply, so overlapping splats are as
+//! opaque as in their own renderers.
 
 use std::f64::consts::TAU;
 
 use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, Schema};
 
-/// Radius of a point, in deviations of its Gaussian: where splat renderers cut it off, and where the kernel `gaussian`, whose
-/// deviation is a third of its radius, ends.
+/// Radius of a point, in deviations of its Gaussian: where splat renderers cut it off, and where
+/// the kernel `gaussian`, whose deviation is a third of its radius, ends.
 const CUT: f64 = 3.0;
 /// Splat renderers draw no splat more opaque than this.
 const MOST_OPAQUE: f64 = 0.99;
@@ -84,8 +87,8 @@ pub(super) struct GaussianColumns {
 }
 
 impl GaussianColumns {
-    /// For files that hold `what`, with colours of `depth`; `view_dependent` if these have coefficients besides the constant
-    /// one.
+    /// For files that hold `what`, with colours of `depth`; `view_dependent` if these have
+    /// coefficients besides the constant one.
     pub(super) fn new(what: &str, depth: ColorDepth, view_dependent: bool, up: [f64; 3]) -> Self {
         let of_color = if depth == ColorDepth::Byte { ColumnType::U8 } else { ColumnType::F32 };
         let column = |(index, name): (usize, &&str)| {
@@ -114,7 +117,8 @@ impl GaussianColumns {
         NAMES.contains(&name)
     }
 
-    /// Appends a point to a batch of the selected columns. Columns of the file's own are left to the caller.
+    /// Appends a point to a batch of the selected columns. Columns of the file's own are left to
+    /// the caller.
     pub(super) fn append(&self, gaussian: &Gaussian, batch: &mut PointBatch) {
         batch.position.push(gaussian.position);
         for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {

@@ -1,5 +1,6 @@
-//! Gaussian splats as `.ksplat`: sections of splats, at compression levels 1 and 2 in buckets that their positions are
-//! relative to. Sizes and centres of buckets, and splats, are read side by side.
+//! Gaussian splats as `.ksplat`: sections of splats, at compression levels 1 and 2 in buckets that
+//! their positions are relative to. Sizes and centres of buckets, and splats, are read side by
+//! side.
 
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -57,7 +58,8 @@ pub(in crate::points) struct KsplatSource {
     sizes: Part,
     centers: Part,
     records: Part,
-    /// The section that is read, how many are begun, where the next one starts, and the Gaussians read of this one.
+    /// The section that is read, how many are begun, where the next one starts, and the Gaussians
+    /// read of this one.
     section: Option<Section>,
     begun: u64,
     start: u64,
@@ -70,7 +72,8 @@ impl KsplatSource {
     /// Opens a file and checks its headers.
     ///
     /// # Errors
-    /// [`ReadError`] if it cannot be read, or its headers do not agree with each other and its size.
+    /// [`ReadError`] if it cannot be read, or its headers do not agree with each other and its
+    /// size.
     pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let mut headers = InputFile::open(path).map_err(io)?;

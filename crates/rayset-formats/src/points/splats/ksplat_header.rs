@@ -1,5 +1,5 @@
-//! The headers of a `.ksplat` file: one of 4096 bytes for the file, and one of 1024 bytes for each of its sections, which tell
-//! where the parts of the sections lie.
+//! The headers of a `.ksplat` file: one of 4096 bytes for the file, and one of 1024 bytes for each
+//! of its sections, which tell where the parts of the sections lie.
 //!
 //! Format: mkkellogg, *GaussianSplats3D*, version 0.1 of its `SplatBuffer`.
 
@@ -22,8 +22,8 @@ const CENTER_BYTES: u64 = 12;
 pub(super) enum Level {
     /// In single precision.
     Full,
-    /// Positions in 16 bits relative to the centre of a bucket, deviations in half precision. Coefficients of view-dependent
-    /// colours take two bytes, or one.
+    /// Positions in 16 bits relative to the centre of a bucket, deviations in half precision.
+    /// Coefficients of view-dependent colours take two bytes, or one.
     Packed { harmonic_bytes: u64 },
 }
 

@@ -1,4 +1,5 @@
-//! Gaussian splats as round points: INRIA's PLY, PlayCanvas's compressed PLY, SPZ, `.splat` and `.ksplat`.
+//! Gaussian splats as round points: INRIA's PLY, PlayCanvas's compressed PLY, SPZ, `.splat` and
+//! `.ksplat`.
 
 mod compressed_ply;
 mod gaussian;

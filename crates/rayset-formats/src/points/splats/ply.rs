@@ -1,6 +1,6 @@
-//! Gaussian splats as PLY, in the layout of INRIA's trainer: colours as coefficients `f_dc_0` to `f_dc_2` of the spherical
-//! harmonics, `opacity` before the logistic function, and the logarithms of the deviations in `scale_0` to `scale_2`, of
-//! which flat splats (2DGS) have two.
+//! Gaussian splats as PLY, in the layout of INRIA's trainer: colours as coefficients `f_dc_0` to
+//! `f_dc_2` of the spherical harmonics, `opacity` before the logistic function, and the logarithms
+//! of the deviations in `scale_0` to `scale_2`, of which flat splats (2DGS) have two.
 
 use std::path::Path;
 
@@ -12,7 +12,8 @@ use crate::points::{ColorDepth, PointBatch, PointSource, ReadError, Schema};
 const CHUNK: usize = 4096;
 /// Columns of the file that a Gaussian is made of. The last may be missing.
 const PARTS: [&str; 7] = ["f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
-/// Up in files of INRIA's trainer, whose cameras look along z with y down, if a file does not say otherwise.
+/// Up in files of INRIA's trainer, whose cameras look along z with y down, if a file does not say
+/// otherwise.
 pub(super) const UP: [f64; 3] = [0.0, -1.0, 0.0];
 
 /// The Gaussians of a PLY file.

@@ -1,5 +1,5 @@
-//! Gaussian splats as `.splat` (antimatter15): records of 32 bytes without a header. Positions and deviations are floats,
-//! colours and opacity bytes, and so is the rotation, which is not read.
+//! Gaussian splats as `.splat` (antimatter15): records of 32 bytes without a header. Positions and
+//! deviations are floats, colours and opacity bytes, and so is the rotation, which is not read.
 
 use std::io::{self, Read, Seek};
 use std::path::{Path, PathBuf};
@@ -30,7 +30,8 @@ impl SplatSource {
     /// Opens a file.
     ///
     /// # Errors
-    /// [`ReadError`] if it cannot be read, or its size or its first records are not those of splats.
+    /// [`ReadError`] if it cannot be read, or its size or its first records are not those of
+    /// splats.
     pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let fail = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);

@@ -1,5 +1,6 @@
-//! Gaussian splats as SPZ, versions 1 to 4: positions in fixed point (version 1: half precision), opacities and colours in
-//! bytes, logarithms of deviations in sixteenths. Rotations and view-dependent colours are not read.
+//! Gaussian splats as SPZ, versions 1 to 4: positions in fixed point (version 1: half precision),
+//! opacities and colours in bytes, logarithms of deviations in sixteenths. Rotations and
+//! view-dependent colours are not read.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -17,7 +18,8 @@ use rayset_store::storage::input_file::InputFile;
 
 /// Gaussians decoded at a time.
 const CHUNK: usize = 1024;
-/// Attributes that points are made of, the first of the file: positions, opacities, colours, deviations.
+/// Attributes that points are made of, the first of the file: positions, opacities, colours,
+/// deviations.
 const ATTRIBUTES: usize = 4;
 const NAMES: [&str; ATTRIBUTES] = ["positions", "opacities", "colours", "scales"];
 /// Coordinates are right, up and back, as in OpenGL.

@@ -1,8 +1,10 @@
-//! What the header of an SPZ file says: how many Gaussians there are, how they are packed, and where each attribute lies.
+//! What the header of an SPZ file says: how many Gaussians there are, how they are packed, and
+//! where each attribute lies.
 //!
-//! Format: Niantic, *spz* (its README). Versions 1 to 3 are one stream of 16 bytes of header and the attributes one after
-//! another, in gzip or as it is. Version 4 has 32 bytes of header, extensions up to a table of contents, the sizes of the
-//! streams there, and behind them a zstd frame for each attribute that is not empty.
+//! Format: Niantic, *spz* (its README). Versions 1 to 3 are one stream of 16 bytes of header and
+//! the attributes one after another, in gzip or as it is. Version 4 has 32 bytes of header,
+//! extensions up to a table of contents, the sizes of the streams there, and behind them a zstd
+//! frame for each attribute that is not empty.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -81,7 +83,8 @@ impl SpzHeader {
         self.harmonics > 0
     }
 
-    /// Bytes of a Gaussian in each attribute: position, opacity, colour, deviations, rotation, spherical harmonics.
+    /// Bytes of a Gaussian in each attribute: position, opacity, colour, deviations, rotation,
+    /// spherical harmonics.
     pub(super) fn widths(&self) -> [u64; 6] {
         let position = if self.fractional_bits.is_some() { 9 } else { 6 };
         let rotation = if self.version >= 3 { 4 } else { 3 };

@@ -1,7 +1,8 @@
 //! The bytes of one attribute of an SPZ file, unpacked from front to back.
 //!
-//! Attributes lie one behind the other, so each that is needed has its own reader of the file, positioned at the attribute's
-//! first byte. What is needed of the file at a time stays small this way, however large it is.
+//! Attributes lie one behind the other, so each that is needed has its own reader of the file,
+//! positioned at the attribute's first byte. What is needed of the file at a time stays small this
+//! way, however large it is.
 
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -147,7 +148,8 @@ impl Plane {
         matches!(&self.input, Input::Zstd(stream) if stream.is_cut())
     }
 
-    /// Reads exactly as many bytes as the buffer has, of `what`, of which `done` of `count` are read.
+    /// Reads exactly as many bytes as the buffer has, of `what`, of which `done` of `count` are
+    /// read.
     pub(super) fn read_exact(
         &mut self,
         buffer: &mut [u8],
@@ -180,7 +182,8 @@ impl Plane {
         Ok(())
     }
 
-    /// Unpacks another `bytes` bytes, which have to be there, to the end of the stream, whose checksum then holds.
+    /// Unpacks another `bytes` bytes, which have to be there, to the end of the stream, whose
+    /// checksum then holds.
     pub(super) fn finish(&mut self, bytes: u64) -> Result<(), ReadError> {
         self.skip(bytes)?;
         // What is behind the attributes are extensions.

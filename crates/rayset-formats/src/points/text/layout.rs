@@ -34,7 +34,8 @@ const SAMPLE_BYTES: usize = 64 << 10;
 /// Fewer rows may have the same number of decimals by chance.
 const FEWEST_ROWS_OF_A_STEP: usize = 8;
 
-/// The columns of COLMAP's sparse points, as a comment of theirs names them; any number of others follows.
+/// The columns of COLMAP's sparse points, as a comment of theirs names them; any number of others
+/// follows.
 const COLMAP: &[u8] = b"POINT3D_ID, X, Y, Z, R, G, B, ERROR, ";
 
 pub(super) const CARRIAGE_RETURN: &str = "a carriage return within a line; lines must end with \\n or \\r\\n";
@@ -73,7 +74,8 @@ impl Layout {
         let mut count = None;
         let mut is_open_ended = false;
         let mut record = Vec::new();
-        // Lines of a title, which are neither a header nor a row; the first is said to be wrong if nothing follows.
+        // Lines of a title, which are neither a header nor a row; the first is said to be wrong if
+        // nothing follows.
         let mut preamble: Vec<(u64, Vec<u8>)> = Vec::new();
         loop {
             record.clear();
@@ -103,7 +105,8 @@ impl Layout {
                 }
                 continue;
             }
-            // Which quotes open a value is unknown before the separator is; a whole record has an even number of them.
+            // Which quotes open a value is unknown before the separator is; a whole record has an
+            // even number of them.
             let quotes = |part: &[u8]| part.iter().filter(|&&b| b == b'"').count();
             let mut open = quotes(&record);
             while open % 2 == 1 {
@@ -196,7 +199,8 @@ impl Layout {
         }
         let axes = whole_axes(&names).map_err(|axis| lines.fail_at(first_line, no_column(axis)))?;
         if header_line.is_some() {
-            // Of a header not every column needs to be of numbers: dates and names of things are passed over.
+            // Of a header not every column needs to be of numbers: dates and names of things are
+            // passed over.
             for (place, name) in names.iter_mut().enumerate() {
                 let mut texts = texts.iter().filter_map(|row| row.get(place));
                 if !axes.contains(&place) && texts.all(|text| is_word(mark, text)) {
@@ -250,8 +254,8 @@ fn whole_axes(names: &[String]) -> Result<[usize; 3], &'static str> {
     Ok([x.ok_or("x")?, y.ok_or("y")?, z.ok_or("z")?])
 }
 
-/// Whether a line names x, y and z. The first word of a comment must be one of them, because a comment may be a sentence,
-/// unless it consists of names between separators.
+/// Whether a line names x, y and z. The first word of a comment must be one of them, because a
+/// comment may be a sentence, unless it consists of names between separators.
 fn is_header(line: &[u8], is_comment: bool) -> bool {
     Separator::ALL.into_iter().any(|separator| {
         let names = Splitter::whole(separator, line).map(|row| row.names()).unwrap_or_default();
@@ -261,11 +265,13 @@ fn is_header(line: &[u8], is_comment: bool) -> bool {
     })
 }
 
-/// The separator with which `record` has numbers for x, y and z, and the names of the columns, if given.
+/// The separator with which `record` has numbers for x, y and z, and the names of the columns, if
+/// given.
 ///
-/// The header and the rows may have different separators, but a common one is preferred. No row can be read both as
-/// separated by commas and as separated by blanks with decimal commas: in numbers separated by commas, every blank is next
-/// to a comma, whereas a decimal comma has a digit on either side.
+/// The header and the rows may have different separators, but a common one is preferred. No row can
+/// be read both as separated by commas and as separated by blanks with decimal commas: in numbers
+/// separated by commas, every blank is next to a comma, whereas a decimal comma has a digit on
+/// either side.
 fn settle(
     record: &[u8],
     names: Option<&[String]>,
@@ -298,8 +304,8 @@ fn settle(
     Some((fits.0, Some(names)))
 }
 
-/// Whether the values at `axes` are numbers with the same decimal mark, or markers of missing values. An empty value counts
-/// as missing only if the columns have names.
+/// Whether the values at `axes` are numbers with the same decimal mark, or markers of missing
+/// values. An empty value counts as missing only if the columns have names.
 fn are_numbers(row: &Splitter, axes: [usize; 3], may_be_empty: bool) -> bool {
     // Between commas, another comma can only be quoted.
     let mut mark = DecimalMark::Open;
@@ -311,8 +317,8 @@ fn are_numbers(row: &Splitter, axes: [usize; 3], may_be_empty: bool) -> bool {
     })
 }
 
-/// The decimal mark before any number has been read: if commas separate values, it is a point, unless quoted values of the
-/// first rows show that it is a comma.
+/// The decimal mark before any number has been read: if commas separate values, it is a point,
+/// unless quoted values of the first rows show that it is a comma.
 fn decimal_mark(separator: Separator, rows: &[Vec<String>]) -> DecimalMark {
     let is_open = separator != Separator::Comma || are_decimals(rows.iter().flatten().map(String::as_str));
     if is_open { DecimalMark::Open } else { DecimalMark::Point }
@@ -335,8 +341,8 @@ fn sample(mut mark: DecimalMark, rows: &[Vec<String>]) -> Vec<Vec<f64>> {
     rows.iter().map(|row| row.iter().map(&mut number).collect()).collect()
 }
 
-/// The step of the coordinates of some rows, if each axis has the same number of decimals in all of them: a program that writes
-/// whole digits leaves trailing zeros out, and says nothing of a step.
+/// The step of the coordinates of some rows, if each axis has the same number of decimals in all of
+/// them: a program that writes whole digits leaves trailing zeros out, and says nothing of a step.
 fn step(rows: &[Vec<String>], axes: [usize; 3]) -> Option<[f64; 3]> {
     let mut steps = [0.0; 3];
     for (step, axis) in steps.iter_mut().zip(axes) {

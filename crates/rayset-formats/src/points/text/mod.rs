@@ -1,24 +1,31 @@
-//! XYZ, TXT, CSV, ASC, PTS: one point per record; separators and header are detected, and columns can be named.
+//! XYZ, TXT, CSV, ASC, PTS: one point per record; separators and header are detected, and columns
+//! can be named.
 //!
-//! **Rows.** Values are separated by `;`, tabs, commas, or blanks (any number of blanks and tabs): the first of these with
-//! which the first row has numbers for x, y and z. The layout of the first row applies to the whole file, and a row with
-//! another number of values is an error. A separator may follow the last value. Values may be quoted: within quotes, `""` is
-//! a quote, and separators and line breaks are part of the value. A record is at most 64 KiB long. Lines end with `\n` or
-//! `\r\n`, or in files without these with `\r`. Bytes of 0 behind the last line are passed over. Empty lines, and lines that start with `#` or `//`, are skipped.
+//! **Rows.** Values are separated by `;`, tabs, commas, or blanks (any number of blanks and tabs):
+//! the first of these with which the first row has numbers for x, y and z. The layout of the first
+//! row applies to the whole file, and a row with another number of values is an error. A separator
+//! may follow the last value. Values may be quoted: within quotes, `""` is a quote, and separators
+//! and line breaks are part of the value. A record is at most 64 KiB long. Lines end with `\n` or
+//! `\r\n`, or in files without these with `\r`. Bytes of 0 behind the last line are passed over.
+//! Empty lines, and lines that start with `#` or `//`, are skipped.
 //!
-//! **Numbers** are what Rust parses as `f64`, or have Fortran exponents, `1.0D+05`. If values are not separated by commas,
-//! or the values of the first rows are quoted and show that a comma separates no thousands, the decimal mark may be a comma
-//! between digits; a file has a single decimal mark, that of the first number that has one. `1,5,2,5,3,5` is six values. An empty value, `NaN`, `NA`, `N/A` and `null` are missing values and become NaN. Values of
-//! columns that are not selected are not parsed, and may be any text.
+//! **Numbers** are what Rust parses as `f64`, or have Fortran exponents, `1.0D+05`. If values are
+//! not separated by commas, or the values of the first rows are quoted and show that a comma
+//! separates no thousands, the decimal mark may be a comma between digits; a file has a single
+//! decimal mark, that of the first number that has one. `1,5,2,5,3,5` is six values. An empty
+//! value, `NaN`, `NA`, `N/A` and `null` are missing values and become NaN. Values of columns that
+//! are not selected are not parsed, and may be any text.
 //!
-//! **Names** come from the caller, otherwise from a header, otherwise from the values of the first rows (see
-//! [`unnamed`](super::unnamed)). A header is a line before the first row that names x, y
-//! and z (see [`roles`](super::roles)), or a comment that does so and whose first name is one of the three. It has a name
-//! for each value of a row; columns with an empty name are skipped. COLMAP's `points3D.txt` names its columns in a comment,
-//! and has any number of values behind them.
+//! **Names** come from the caller, otherwise from a header, otherwise from the values of the first
+//! rows (see [`unnamed`](super::unnamed)). A header is a line before the first row that names x, y
+//! and z (see [`roles`](super::roles)), or a comment that does so and whose first name is one of
+//! the three. It has a name for each value of a row; columns with an empty name are skipped.
+//! COLMAP's `points3D.txt` names its columns in a comment, and has any number of values behind
+//! them.
 //!
-//! **Counts.** A whole number alone on a line before the first row, as in PTS files, is the number of points that follow,
-//! and must be correct. After them, another count and its points may follow, and so on: all belong to the same cloud.
+//! **Counts.** A whole number alone on a line before the first row, as in PTS files, is the number
+//! of points that follow, and must be correct. After them, another count and its points may follow,
+//! and so on: all belong to the same cloud.
 
 mod layout;
 mod rows;
@@ -69,7 +76,8 @@ impl TextSource {
     /// Opens a file and determines its columns, from `names` if given.
     ///
     /// # Errors
-    /// [`ReadError`] if the file cannot be read, contains no data, or its columns do not include x, y and z.
+    /// [`ReadError`] if the file cannot be read, contains no data, or its columns do not include x,
+    /// y and z.
     pub fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
         Self::of(Stream::open(path)?, names)
     }

@@ -15,8 +15,8 @@ pub(super) enum Separator {
 }
 
 impl Separator {
-    /// In the order in which they are tried: if a line could have either of two, the one that is rarer within numbers comes
-    /// first.
+    /// In the order in which they are tried: if a line could have either of two, the one that is
+    /// rarer within numbers comes first.
     pub(super) const ALL: [Self; 4] = [Self::Semicolon, Self::Tab, Self::Comma, Self::Blank];
 
     fn byte(self) -> Option<u8> {
@@ -39,7 +39,8 @@ pub(super) enum Progress {
     CarriageReturn,
 }
 
-/// Splits records into fields, line by line. Separators within quotes belong to the value, and a doubled quote is a quote.
+/// Splits records into fields, line by line. Separators within quotes belong to the value, and a
+/// doubled quote is a quote.
 #[derive(Debug)]
 pub(super) struct Splitter {
     /// `None` for blanks.
@@ -82,8 +83,8 @@ impl Splitter {
     /// Continues a record whose quote is open with another line.
     pub(super) fn go_on(&mut self, line: &[u8]) -> Progress {
         let Some(parser) = &mut self.parser else { return Progress::Complete };
-        // The parser writes no more than it reads. It must not be given an empty input, which would mean the end of the
-        // file.
+        // The parser writes no more than it reads. It must not be given an empty input, which would
+        // mean the end of the file.
         let room = line.len() + 1;
         if self.text.len() < self.written + room {
             self.text.resize(self.written + room, 0);
@@ -153,7 +154,8 @@ impl Splitter {
     pub(super) fn bytes(&self, index: usize) -> &[u8] {
         let (start, end) = self.fields[index];
         match self.text[start..end].trim_ascii() {
-            // The parser does not remove quotes that do not begin the field, for example after a blank.
+            // The parser does not remove quotes that do not begin the field, for example after a
+            // blank.
             [b'"', inner @ .., b'"'] => inner.trim_ascii(),
             field => field,
         }

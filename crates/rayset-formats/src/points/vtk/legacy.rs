@@ -1,7 +1,7 @@
 //! Legacy files of VTK: where their points are, and the arrays that go with them.
 //!
-//! A file is a sequence of sections, each a line with a keyword and numbers, in text or in big-endian binary. Nothing says
-//! where a section is, so all before it are passed.
+//! A file is a sequence of sections, each a line with a keyword and numbers, in text or in
+//! big-endian binary. Nothing says where a section is, so all before it are passed.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
@@ -363,8 +363,8 @@ impl Scanner<'_> {
         Ok(())
     }
 
-    /// Passes texts: lines or, in binary, texts with their lengths before them, of which the first two bits say how many
-    /// bytes they have.
+    /// Passes texts: lines or, in binary, texts with their lengths before them, of which the first
+    /// two bits say how many bytes they have.
     fn pass_texts(&mut self, count: u64) -> Result<(), ReadError> {
         for _ in 0..count {
             if self.is_text {

@@ -1,9 +1,10 @@
-//! Points of VTK: legacy files (`.vtk`) of PolyData and UnstructuredGrid, in text and binary, and the same in XML (`.vtp`,
-//! `.vtu`), in one piece or several.
+//! Points of VTK: legacy files (`.vtk`) of PolyData and UnstructuredGrid, in text and binary, and
+//! the same in XML (`.vtp`, `.vtu`), in one piece or several.
 //!
-//! All points are read, whether cells use them or not; cells are passed. What points have are columns: of arrays of three
-//! numbers `name_x`, `name_y` and `name_z`, and of the first array of three or four bytes, or one of that many numbers with a
-//! name of colours, red, green, blue (and alpha). Texts and bits are left out.
+//! All points are read, whether cells use them or not; cells are passed. What points have are
+//! columns: of arrays of three numbers `name_x`, `name_y` and `name_z`, and of the first array of
+//! three or four bytes, or one of that many numbers with a name of colours, red, green, blue (and
+//! alpha). Texts and bits are left out.
 
 mod legacy;
 mod part;
@@ -24,7 +25,8 @@ use rayset_store::storage::is_of_reading;
 
 /// Bytes that are read at once, of all arrays together; one row of each where that is more.
 const STEP_BYTES: usize = 512 << 10;
-/// What the stream of an array may need besides: buffers of the file, of base64 and of sizes, and the window of Deflate.
+/// What the stream of an array may need besides: buffers of the file, of base64 and of sizes, and
+/// the window of Deflate.
 const STREAM_BYTES: u64 = 320 << 10;
 
 /// Whether a file is one of VTK, legacy or in XML.
@@ -97,8 +99,8 @@ impl VtkSource {
         ReadError::Io { path: self.path.clone(), source }
     }
 
-    /// An error in the numbers of an array of the current part, or in its positions. What the system says, it says of the
-    /// file.
+    /// An error in the numbers of an array of the current part, or in its positions. What the
+    /// system says, it says of the file.
     fn unreadable(&self, array: Option<usize>, source: io::Error) -> ReadError {
         if is_of_reading(&source) {
             return self.io(source);
@@ -141,7 +143,8 @@ impl VtkSource {
         })
     }
 
-    /// Opens what is needed of the current part, if its first point is next. False if there is none.
+    /// Opens what is needed of the current part, if its first point is next. False if there is
+    /// none.
     fn prepare(&mut self) -> Result<bool, ReadError> {
         while self.parts.get(self.part).is_some_and(|part| part.rows == self.row) {
             (self.part, self.row) = (self.part + 1, 0);

@@ -1,4 +1,5 @@
-//! What is found in a file of VTK, of either kind: parts with points, and the arrays that these have.
+//! What is found in a file of VTK, of either kind: parts with points, and the arrays that these
+//! have.
 
 use crate::points::ColumnType;
 
@@ -9,7 +10,8 @@ pub(super) enum Stored {
     Plain { start: u64, big_endian: bool },
     /// As text separated by white space, from this byte on.
     Text(u64),
-    /// In the array of this index of a piece in XML: among the positions, or among what points have.
+    /// In the array of this index of a piece in XML: among the positions, or among what points
+    /// have.
     Xml { piece: usize, is_position: bool, index: usize },
 }
 

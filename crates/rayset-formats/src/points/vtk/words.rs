@@ -2,7 +2,8 @@
 
 use crate::points::ColumnType;
 
-/// A type of numbers: its column type, and its bytes in a binary file. `None` in place of a type that columns do not have.
+/// A type of numbers: its column type, and its bytes in a binary file. `None` in place of a type
+/// that columns do not have.
 pub(super) fn type_of(name: &str) -> Option<(Option<ColumnType>, u64)> {
     let kind = match name.to_ascii_lowercase().as_str() {
         "unsigned_char" | "vtktypeuint8" => ColumnType::U8,

@@ -57,7 +57,8 @@ pub(in super::super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     Ok(source.with_about(format!("the first field that has a regular grid is read, of {fields}")))
 }
 
-/// The grid and the data of the first field that has both; without fields, the first grid and array.
+/// The grid and the data of the first field that has both; without fields, the first grid and
+/// array.
 fn chosen(objects: &Objects) -> Option<(&Positions, &Array)> {
     let fields = objects.all.iter().filter_map(|(_, object)| match object {
         Object::Field(parts) => Some(parts),

@@ -1,5 +1,6 @@
-//! Frames of Blosc 1 (<https://github.com/Blosc/c-blosc/blob/main/README_CHUNK_FORMAT.rst>): 16 bytes of header, offsets
-//! of blocks, and blocks of one or several compressed streams whose bytes may be shuffled.
+//! Frames of Blosc 1 (<https://github.com/Blosc/c-blosc/blob/main/README_CHUNK_FORMAT.rst>): 16
+//! bytes of header, offsets of blocks, and blocks of one or several compressed streams whose bytes
+//! may be shuffled.
 
 use super::zip::inflate;
 
@@ -9,8 +10,8 @@ const SHUFFLED: u8 = 1;
 const COPIED: u8 = 2;
 const BITS_SHUFFLED: u8 = 4;
 const WHOLE: u8 = 0x10;
-/// A block is split into a stream for each byte of its values if these have at most this many bytes, and each stream at least
-/// as many as the other says.
+/// A block is split into a stream for each byte of its values if these have at most this many
+/// bytes, and each stream at least as many as the other says.
 const MOST_STREAMS: usize = 16;
 const LEAST_STREAM_BYTES: usize = 128;
 
@@ -108,8 +109,8 @@ fn decode_block(codec: Codec, mut from: &[u8], streams: usize, block: &mut [u8])
     Ok(())
 }
 
-/// Puts the bytes of values together again: first came the first bytes of all, then the second ones. What is left after the
-/// last whole value was not shuffled.
+/// Puts the bytes of values together again: first came the first bytes of all, then the second
+/// ones. What is left after the last whole value was not shuffled.
 fn unshuffle(shuffled: &[u8], width: usize, block: &mut [u8]) {
     let count = block.len() / width;
     for (number, value) in block.chunks_exact_mut(width).enumerate() {

@@ -10,8 +10,9 @@ use super::values::Decoder;
 /// Largest window in bytes, as long as a row of voxels is not larger.
 const MOST_WINDOW_BYTES: u64 = 32 << 20;
 
-/// The voxels of a box, z fastest and x slowest, as they are ordered in leaves. They are put together in windows: slabs of
-/// eight slices, so that each leaf is decompressed once, or parts of one slice if a slab is too large.
+/// The voxels of a box, z fastest and x slowest, as they are ordered in leaves. They are put
+/// together in windows: slabs of eight slices, so that each leaf is decompressed once, or parts of
+/// one slice if a slab is too large.
 pub(super) struct Dense {
     stream: Stream,
     tree: Tree,
@@ -104,8 +105,8 @@ fn fill_with(voxels: &mut [u8], value: &[u8]) {
     voxels.chunks_exact_mut(value.len()).for_each(|voxel| voxel.copy_from_slice(value));
 }
 
-/// The runs along z of the voxels that a region and a cube share: their places among the voxels of the cube, and among those
-/// of the region.
+/// The runs along z of the voxels that a region and a cube share: their places among the voxels of
+/// the cube, and among those of the region.
 fn runs(region: Bounds, cube: Bounds) -> impl Iterator<Item = (Range<usize>, Range<usize>)> {
     let shared = region.and(cube);
     let place = move |of: Bounds, x: i64, y: i64| {

@@ -21,7 +21,8 @@ pub(super) fn read(stream: &mut Stream) -> Result<DAffine3, Wrong> {
             let [translation] = vectors::<1>(stream)?;
             DAffine3::from_translation(translation)
         }
-        // Rows are stored, and vectors are multiplied from the left, so a row is the image of an axis.
+        // Rows are stored, and vectors are multiplied from the left, so a row is the image of an
+        // axis.
         "AffineMap" | "UnitaryMap" => {
             let m: [f64; 16] = stream.doubles()?;
             let row = |r: usize| DVec3::new(m[4 * r], m[4 * r + 1], m[4 * r + 2]);

@@ -104,7 +104,8 @@ pub(super) struct Tree {
     pub(super) coding: Coding,
     /// The box of all active voxels.
     pub(super) active: Bounds,
-    /// All of these are sorted by their places along x, so that those in a slab are found without looking at others.
+    /// All of these are sorted by their places along x, so that those in a slab are found without
+    /// looking at others.
     tiles: Vec<Tile>,
     upper: Vec<Block>,
     lower: Vec<Block>,
@@ -234,7 +235,8 @@ impl Tree {
         Ok(())
     }
 
-    /// Hands on the values of the leaves in a region that is as thick as one leaf along x: 512 each, z fastest.
+    /// Hands on the values of the leaves in a region that is as thick as one leaf along x: 512
+    /// each, z fastest.
     pub(super) fn leaves(
         &self,
         stream: &mut Stream,

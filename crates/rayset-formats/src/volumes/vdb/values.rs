@@ -77,8 +77,8 @@ pub(super) fn skip(stream: &mut Stream, coding: &Coding, active: &[u8]) -> Resul
 }
 
 impl Decoder {
-    /// Reads the values of a node or leaf, whose mask of active values has been read. They are little-endian, `coding.width`
-    /// bytes each.
+    /// Reads the values of a node or leaf, whose mask of active values has been read. They are
+    /// little-endian, `coding.width` bytes each.
     pub(super) fn read(
         &mut self,
         stream: &mut Stream,
@@ -132,8 +132,8 @@ fn head(stream: &mut Stream, coding: &Coding, active: &[u8]) -> Result<Head, Wro
     let mut negative = coding.background;
     negative[coding.width - 1] ^= 0x80;
     let mut inactive = [if kind == 0 { coding.background } else { negative }, coding.background];
-    // 0: the background. 1: its negative. 2: a value. 3: one or the other of both. 4: a value or the background. 5: either of
-    // two values. 6: all are stored.
+    // 0: the background. 1: its negative. 2: a value. 3: one or the other of both. 4: a value or
+    // the background. 5: either of two values. 6: all are stored.
     let values = match kind {
         0 | 1 | 3 | 6 => 0,
         2 | 4 => 1,

@@ -1,7 +1,8 @@
 //! The part of the octree that a packet has not passed yet, nearest first.
 //!
-//! A node is opened only when a slab reaches it and live rays may meet it, so nothing behind an opaque surface is ever
-//! requested; and each node is opened once per packet, however many slabs there are.
+//! A node is opened only when a slab reaches it and live rays may meet it, so nothing behind an
+//! opaque surface is ever requested; and each node is opened once per packet, however many slabs
+//! there are.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -18,8 +19,8 @@ use rayset_files::octree::node::Node;
 use rayset_files::octree::page::PointPage;
 use rayset_files::octree::walk::{NodePages, Visit, Visitor, Walk};
 
-/// Nodes with more own runs than this add whole pages instead of single runs, so that a frontier stays small however
-/// large the points are.
+/// Nodes with more own runs than this add whole pages instead of single runs, so that a frontier
+/// stays small however large the points are.
 const MOST_SINGLE_RUNS: u32 = 512;
 
 /// Runs that extend over more samples of a packet than this are examined point by point.
@@ -61,8 +62,8 @@ impl PartialOrd for Entry {
     }
 }
 impl Ord for Entry {
-    /// The heap yields its greatest entry first, so nearer is greater. The order of ties does not matter: runs are
-    /// sorted before they are used.
+    /// The heap yields its greatest entry first, so nearer is greater. The order of ties does not
+    /// matter: runs are sorted before they are used.
     fn cmp(&self, other: &Self) -> Ordering {
         other.first.cmp(&self.first)
     }
@@ -120,8 +121,8 @@ impl Frontier {
         self.heap.peek().map(|e| e.first)
     }
 
-    /// Opens everything that samples before `end` may need and moves its runs to `active`. Nodes that only samples
-    /// without effect can reach are left for later.
+    /// Opens everything that samples before `end` may need and moves its runs to `active`. Nodes
+    /// that only samples without effect can reach are left for later.
     pub(super) fn advance(
         &mut self,
         place: Place<'_>,
@@ -138,8 +139,8 @@ impl Frontier {
         outcome
     }
 
-    /// Called when a page of a node is absent: requests, in one batch, all pages that this slab and the next
-    /// `slabs_on_a_miss` slabs will open.
+    /// Called when a page of a node is absent: requests, in one batch, all pages that this slab and
+    /// the next `slabs_on_a_miss` slabs will open.
     fn request_ahead(&self, place: Place<'_>, node: &Node, end: u64) {
         let Place { access, cloud, packet, rays } = place;
         let until = end + access.slabs_on_a_miss * SLAB_SAMPLES as u64;
@@ -154,8 +155,9 @@ impl Frontier {
         access.pages.hint(&cloud.pages, &pages, u64::MAX);
     }
 
-    /// Starts at the nearest node ahead that the packet's middle ray meets and descends to where the ray first meets
-    /// points, through nodes in memory only; requests the first page that is absent.
+    /// Starts at the nearest node ahead that the packet's middle ray meets and descends to where
+    /// the ray first meets points, through nodes in memory only; requests the first page that is
+    /// absent.
     pub(super) fn precache(&self, place: Place<'_>) {
         let Place { access, cloud, packet, .. } = place;
         let middle = packet.ray(packet.len() / 2);
@@ -196,7 +198,8 @@ impl<'t> Opening<'t> {
         Self { place, heap, end, active, entry: None }
     }
 
-    /// Examines the bounds of a node's own runs. This needs their pages, which are soon needed again for the points.
+    /// Examines the bounds of a node's own runs. This needs their pages, which are soon needed
+    /// again for the points.
     fn open_own(&mut self, node: &Node, walk: &mut Walk) -> Result<(), Halt> {
         let Place { access, cloud, packet, rays } = self.place;
         if !walk.may_look_at_runs_of(node, cloud.header()) {
@@ -323,8 +326,8 @@ pub(in crate::trace) fn each_own_page(
     Ok(())
 }
 
-/// Ranges of samples that the points of a wide run may reach, or `None` if there are too many. They may be much smaller
-/// than the range of its bounds, because rays miss most points of a wide run.
+/// Ranges of samples that the points of a wide run may reach, or `None` if there are too many. They
+/// may be much smaller than the range of its bounds, because rays miss most points of a wide run.
 fn ranges_of_points(place: Place<'_>, points: &PointPage<'_>, run: usize) -> Option<Vec<(u64, u64)>> {
     let Place { cloud, packet, rays, .. } = place;
     let run = points.run(run);

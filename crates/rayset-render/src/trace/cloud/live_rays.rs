@@ -1,4 +1,5 @@
-//! The live rays of a packet and those of their samples that still matter: which boxes they meet, and where.
+//! The live rays of a packet and those of their samples that still matter: which boxes they meet,
+//! and where.
 
 use crate::field::{LANES, Packet, RayColumns, SimdLevel, Slab};
 use crate::trace::node_samples::{Live, each_lane};
@@ -11,8 +12,8 @@ const MOST_SPREAD: f64 = 0.25;
 pub(super) struct RaySet {
     lanes: u64,
     beam: Beam,
-    /// The rays individually, if the set is incomplete or its directions diverge: their common bound may then contain
-    /// much that no ray meets.
+    /// The rays individually, if the set is incomplete or its directions diverge: their common
+    /// bound may then contain much that no ray meets.
     each: Option<RayColumns>,
     /// The smallest and the largest step of these rays.
     steps: (f64, f64),
@@ -48,7 +49,8 @@ impl RaySet {
             near &= near - 1;
             (enter, exit) = (enter.min(crossing.enter_near[lane]), exit.max(crossing.exit_near[lane]));
         }
-        // A slack of two samples, as for the beam; wherever single precision is used, it is far finer than one sample.
+        // A slack of two samples, as for the beam; wherever single precision is used, it is far
+        // finer than one sample.
         let (least, most) = self.steps;
         let enter = f64::from(enter) * (1.0 - 1e-5) / most - 2.0;
         let exit = f64::from(exit) * (1.0 + 1e-5) / least + 2.0;
@@ -86,7 +88,8 @@ impl SomeRays {
 }
 
 impl LiveSamples {
-    /// Whether any of these samples may lie in a box. `first` and `last` are the packet's samples in the box.
+    /// Whether any of these samples may lie in a box. `first` and `last` are the packet's samples
+    /// in the box.
     fn meets(&self, bounds: &Aabb, (first, last): (u64, u64)) -> bool {
         let from = first.max(self.slab.first) - self.slab.first;
         if last < self.slab.first || self.any & bits_between(from, last - self.slab.first) == 0 {
@@ -94,7 +97,8 @@ impl LiveSamples {
         }
         let crossing = self.rays.columns.cross(bounds, 0.0);
         let (slow, fast) = self.rays.inverse_steps;
-        // A slack of two samples, as for the beam; wherever single precision is used, it is far finer than one sample.
+        // A slack of two samples, as for the beam; wherever single precision is used, it is far
+        // finer than one sample.
         let first_sample = self.slab.first as f32;
         let mut near = crossing.near & (u64::MAX >> (LANES - self.rays.lanes.len()));
         while near != 0 {
@@ -135,7 +139,8 @@ impl LiveRays {
         self.going.ray_by_ray(packet)
     }
 
-    /// Whether none of the samples that matter in this slab lies in a box; `range` is the packet's samples in the box.
+    /// Whether none of the samples that matter in this slab lies in a box; `range` is the packet's
+    /// samples in the box.
     pub(super) fn misses_now(&self, bounds: &Aabb, range: (u64, u64)) -> bool {
         self.now.as_ref().is_some_and(|now| !now.meets(bounds, range))
     }
@@ -145,7 +150,8 @@ impl LiveRays {
         Self { going: RaySet::new(packet, packet.all(), simd), now: None }
     }
 
-    /// Replaces the rays by others of the same packet, with those of their samples that still matter.
+    /// Replaces the rays by others of the same packet, with those of their samples that still
+    /// matter.
     pub(super) fn become_rays(
         &mut self,
         packet: &Packet,

@@ -59,8 +59,9 @@ impl<'a> Request<'a> {
 /// How much is left of each ray.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::trace) struct Remaining {
-    /// For each lane, the optical depth from the slab's beginning at which its ray ends, in steps at the optical depth
-    /// of a unit distance. More than exact: a ray that comes to it has ended, whatever was rounded.
+    /// For each lane, the optical depth from the slab's beginning at which its ray ends, in steps
+    /// at the optical depth of a unit distance. More than exact: a ray that comes to it has ended,
+    /// whatever was rounded.
     pub(in crate::trace) depth: [f32; LANES],
 }
 
@@ -132,7 +133,8 @@ impl CloudMarch {
         Ok(())
     }
 
-    /// Adds all active runs to the samples of a slab, in the order of the file, with one page retained at a time.
+    /// Adds all active runs to the samples of a slab, in the order of the file, with one page
+    /// retained at a time.
     #[expect(clippy::too_many_arguments, reason = "the inner loop, and the room to work in")]
     fn gather(
         &mut self,
@@ -196,8 +198,8 @@ impl CloudMarch {
     }
 }
 
-/// Of active runs in the order of the file: how many are of the first one's page, whether any of these matters, and whether any
-/// goes on behind the slab.
+/// Of active runs in the order of the file: how many are of the first one's page, whether any of
+/// these matters, and whether any goes on behind the slab.
 fn of_first_page(
     active: &[ActiveRuns],
     slab: Slab,

@@ -1,5 +1,6 @@
-//! Clouds as volume objects: where each is (`placement`), the octree ahead of a packet (`frontier`, for the rays in
-//! `live_rays`), the march of a packet through it (`march`), and what its field looks like (`shading`).
+//! Clouds as volume objects: where each is (`placement`), the octree ahead of a packet (`frontier`,
+//! for the rays in `live_rays`), the march of a packet through it (`march`), and what its field
+//! looks like (`shading`).
 
 mod frontier;
 mod live_rays;

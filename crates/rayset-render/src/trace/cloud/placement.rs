@@ -1,4 +1,5 @@
-//! Where a cloud is in the world and in memory: its spaces, the pages of its octree, and the bounds of its nodes.
+//! Where a cloud is in the world and in memory: its spaces, the pages of its octree, and the bounds
+//! of its nodes.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -59,7 +60,8 @@ impl CloudPlacement {
             .map_or_else(|| packet.clone(), |map| packet.in_local_space(map, self.least_stretch))
     }
 
-    /// A ray in the cloud's space, parametrised by distance in world space; its direction is not normalised.
+    /// A ray in the cloud's space, parametrised by distance in world space; its direction is not
+    /// normalised.
     pub(in crate::trace) fn local_ray(&self, ray: &Ray) -> Ray {
         self.local_from_world.as_ref().map_or(*ray, |map| Ray {
             origin: map.transform_point3(ray.origin),
@@ -103,8 +105,8 @@ impl CloudPlacement {
         own.first_page..own.first_page.saturating_add(pages).saturating_add(1).min(self.first_node_page)
     }
 
-    /// The pages that may hold a node's own points: more than [`own_pages`](Self::own_pages) where pages of fewer runs than usual
-    /// could make a difference.
+    /// The pages that may hold a node's own points: more than [`own_pages`](Self::own_pages) where
+    /// pages of fewer runs than usual could make a difference.
     pub(in crate::trace) fn own_pages_at_most(&self, node: &Node) -> Range<u32> {
         /// Pages that hold so much less than the mean, in parts of it, are rare.
         const LESS: f64 = 0.25;

@@ -1,5 +1,5 @@
-//! From a cloud's field to a volume: which attributes of its points the field carries, and how density, attributes and
-//! gradient are shaded.
+//! From a cloud's field to a volume: which attributes of its points the field carries, and how
+//! density, attributes and gradient are shaded.
 
 use std::sync::Arc;
 
@@ -16,7 +16,8 @@ use crate::trace::transfer::ColorTable;
 use rayset_base::geometry::{DAffine3, DMat3};
 use rayset_files::octree::format::Header;
 
-/// Attributes are 0 where the density is not above this fraction of the largest density of a single point.
+/// Attributes are 0 where the density is not above this fraction of the largest density of a single
+/// point.
 const LEAST_WEIGHT: f32 = 1e-12;
 
 enum Color {
@@ -56,13 +57,14 @@ pub(in crate::trace) struct CloudShading {
     /// The density that defines the boundary.
     boundary_density: f32,
     least_weight: f32,
-    /// Maps gradients in the cloud's space to vectors in world space that point to lower density; by columns.
+    /// Maps gradients in the cloud's space to vectors in world space that point to lower density;
+    /// by columns.
     normal_map: [[f32; 3]; 3],
 }
 
 impl CloudShading {
-    /// Shading for an object at a position in the world. Until [`carry`](Self::carry) is called, the field carries
-    /// densities only.
+    /// Shading for an object at a position in the world. Until [`carry`](Self::carry) is called,
+    /// the field carries densities only.
     pub(in crate::trace) fn new(
         object: &CloudObject,
         local_from_world: Option<&DAffine3>,
@@ -101,7 +103,8 @@ impl CloudShading {
         if let Color::Uniform(color) = self.color { Some(color) } else { None }
     }
 
-    /// Sets the required outputs and the names of the program's attributes. Before this, only densities are carried.
+    /// Sets the required outputs and the names of the program's attributes. Before this, only
+    /// densities are carried.
     pub(in crate::trace) fn carry(&mut self, header: &Header, required: RequiredOutputs, names: &[Arc<str>]) {
         let mut columns = AttributeColumns::default();
         if required.color {
@@ -264,7 +267,8 @@ impl CloudShading {
         simd: SimdLevel,
         out: &mut NodeSamples,
     ) {
-        // Gradients are transformed by the transpose of the inverse; the shading vector points to lower density.
+        // Gradients are transformed by the transpose of the inverse; the shading vector points to
+        // lower density.
         let [mut x, mut y, mut z] = field.gradient.each_ref().map(|rows| rows[lane]);
         let boundary = required.boundary.then_some((&field.density[lane], self.boundary_density));
         let distance =
@@ -297,8 +301,8 @@ impl Carried {
     }
 }
 
-/// Transforms gradients to world space and normalises them. Returns the first-order distance to the boundary if
-/// densities and the boundary's density are given.
+/// Transforms gradients to world space and normalises them. Returns the first-order distance to the
+/// boundary if densities and the boundary's density are given.
 #[inline(always)]
 fn to_world(
     m: &[[f32; 3]; 3],
@@ -323,7 +327,8 @@ fn to_world(
     distance
 }
 
-// Loops instead of `map`: the compiler does not inline closures into functions compiled for other instruction sets.
+// Loops instead of `map`: the compiler does not inline closures into functions compiled for other
+// instruction sets.
 
 #[inline(always)]
 fn optical_depth_of_extinction(mut lanes: u64, density: &Rows, per_density: f32, rows: &mut Rows) {

@@ -1,4 +1,5 @@
-//! The bricks that rays are expected to need: from where rays are and from the ranges of values of bricks, without any brick.
+//! The bricks that rays are expected to need: from where rays are and from the ranges of values of
+//! bricks, without any brick.
 
 use std::collections::HashMap;
 
@@ -11,7 +12,8 @@ use rayset_store::working_set::{PageClient, PageGuard};
 const PLACES_IN_BRICK: f64 = 4.0;
 /// At most so many on a ray: in a grid of more bricks, some are met unexpectedly.
 const MOST_PLACES: f64 = 512.0;
-/// At most so many bricks are found at a time: a picture that needs more between two of its tiles is not helped by a list of them.
+/// At most so many bricks are found at a time: a picture that needs more between two of its tiles
+/// is not helped by a list of them.
 const MOST_BRICKS: usize = 1 << 14;
 /// Rays between those that are given are looked for at most so many bricks away.
 const MOST_MARGIN: f64 = 2.0;
@@ -28,8 +30,9 @@ pub(in crate::trace) struct PagesAhead {
 }
 
 impl GridVolume {
-    /// The pages that rays are expected to need, up to where their optical depth is at least `opaque`. There may be others within
-    /// `gap` of each, which is given at a distance; world space.
+    /// The pages that rays are expected to need, up to where their optical depth is at least
+    /// `opaque`. There may be others within `gap` of each, which is given at a distance; world
+    /// space.
     pub(in crate::trace) fn pages_ahead(
         &self,
         pages: &PageClient,

@@ -87,7 +87,8 @@ struct Window<const ROWS: usize> {
 pub(super) struct Around {
     /// Of the corners of cells: pairs that follow each other along y, then along z.
     pub(super) corners: Pairs<4>,
-    /// Of the voxels within one of the corners along an axis, in the order that [`gradients`] takes.
+    /// Of the voxels within one of the corners along an axis, in the order that [`gradients`]
+    /// takes.
     pub(super) surroundings: Pairs<16>,
 }
 
@@ -108,8 +109,9 @@ impl Around {
     #[inline(always)]
     pub(super) fn read_surroundings<S: Simd>(&mut self, simd: S, brick: Brick<'_>, cells: &Cells, base: f32) {
         let (y, z) = brick.shape.strides();
-        // From one voxel before the cell along z. Rows of four voxels through the cell, as pairs before and behind the middle of
-        // the row, for y and z of 0 and 1; then pairs beside the cell: y of −1 and 2 at z of 0 and 1, z of −1 and 2 at y of 0 and 1.
+        // From one voxel before the cell along z. Rows of four voxels through the cell, as pairs
+        // before and behind the middle of the row, for y and z of 0 and 1; then pairs beside the
+        // cell: y of −1 and 2 at z of 0 and 1, z of −1 and 2 at y of 0 and 1.
         let before = [z - 1, z + y - 1, 2 * z - 1, 2 * z + y - 1];
         let beside_y = [z - y, z + 2 * y, 2 * z - y, 2 * z + 2 * y];
         let beside_z = [0, 3 * z, y, y + 3 * z];
@@ -167,7 +169,8 @@ fn read<V: Voxel, const ROWS: usize>(
     }
 }
 
-// Vectors are written out: what is left to the compiler becomes, across rows, loads and stores of single numbers.
+// Vectors are written out: what is left to the compiler becomes, across rows, loads and stores of
+// single numbers.
 
 /// Vectors of a row.
 #[inline(always)]
@@ -208,7 +211,8 @@ fn lerp_less<S: Simd>(simd: S, [a, b, c, d]: [[&Row; 2]; 4], [_, fy, fz]: &[Row;
 /// The corners of cells among what surrounds them, in the order of [`Around::corners`].
 #[inline(always)]
 pub(super) fn corners_of(surroundings: &Pairs<16>) -> Pairs<4> {
-    // The pair of the middle of each row through the cell: what its first pair ends with, and what its second begins with.
+    // The pair of the middle of each row through the cell: what its first pair ends with, and what
+    // its second begins with.
     [0, 1, 2, 3].map(|row| [surroundings[row][1], surroundings[4 + row][0]])
 }
 
@@ -220,8 +224,8 @@ pub(super) fn trilinear<S: Simd>(simd: S, [a, b, c, d]: &Pairs<4>, [fx, fy, fz]:
     lerp(simd, &low, &high, fz)
 }
 
-/// The gradients of a batch, a voxel: half the difference of the trilinear values one voxel on either side, with the weights of the
-/// same cell.
+/// The gradients of a batch, a voxel: half the difference of the trilinear values one voxel on
+/// either side, with the weights of the same cell.
 #[inline(always)]
 pub(super) fn gradients<S: Simd>(simd: S, surroundings: &Pairs<16>, within: &[Row; 3]) -> [Row; 3] {
     let [fx, fy, fz] = within;

@@ -1,4 +1,5 @@
-//! The samples of a slab in one brick: found ray by ray in groups of eight, evaluated batch by batch.
+//! The samples of a slab in one brick: found ray by ray in groups of eight, evaluated batch by
+//! batch.
 
 use fearless_simd::prelude::*;
 
@@ -23,9 +24,10 @@ pub(super) struct BrickSamples<'a> {
     pub(super) blocks: Blocks,
 }
 
-/// Samples of a brick: first those that are to be evaluated, then those of them that are kept, which are not transparent
-/// unless the surroundings of the grid are required. Whole groups are evaluated: the other samples of a group, in other bricks
-/// or outside, read voxels of this brick and are dropped.
+/// Samples of a brick: first those that are to be evaluated, then those of them that are kept,
+/// which are not transparent unless the surroundings of the grid are required. Whole groups are
+/// evaluated: the other samples of a group, in other bricks or outside, read voxels of this brick
+/// and are dropped.
 pub(super) struct Groups {
     len: usize,
     /// Eight samples of one ray each: lane · 4 + block.
@@ -91,8 +93,8 @@ fn eight(row: &mut SampleRow, block: usize) -> &mut [f32; BLOCK_SAMPLES] {
 }
 
 impl BrickSamples<'_> {
-    /// Fills the samples of some segments, all in this brick. `seen` is, for each lane, the number of samples after
-    /// which its ray is known to have ended.
+    /// Fills the samples of some segments, all in this brick. `seen` is, for each lane, the number
+    /// of samples after which its ray is known to have ended.
     #[inline(always)]
     pub(super) fn fill<S: Simd>(
         &self,
@@ -157,7 +159,8 @@ impl BrickSamples<'_> {
         }
     }
 
-    /// Evaluates groups of samples; those that are not transparent are kept, and their opacities stored.
+    /// Evaluates groups of samples; those that are not transparent are kept, and their opacities
+    /// stored.
     #[inline(always)]
     fn opacities<S: Simd>(&self, simd: S, groups: &mut Groups, around: &mut Around, out: &mut NodeSamples) {
         let GridRequest { measure, required, .. } = *self.request;
@@ -324,7 +327,8 @@ fn below(number: usize) -> u32 {
     if number >= SLAB_SAMPLES { u32::MAX } else { (1 << number) - 1 }
 }
 
-/// The number of samples, from the first, up to the one with which their optical depths exceed `left`.
+/// The number of samples, from the first, up to the one with which their optical depths exceed
+/// `left`.
 #[inline(always)]
 fn samples_within(depths: &[f32; SLAB_SAMPLES], left: f32) -> usize {
     // The order in which they are added changes the sum by far less than a thousandth.

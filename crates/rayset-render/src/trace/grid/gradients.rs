@@ -14,7 +14,8 @@ pub(super) struct Gradients {
 }
 
 impl Gradients {
-    /// `outward` is −1 if the opacity rises with the value, else 1; `boundary_value` is the value at the boundary.
+    /// `outward` is −1 if the opacity rises with the value, else 1; `boundary_value` is the value
+    /// at the boundary.
     pub(super) fn new(
         voxel_from_world: &DAffine3,
         values: &Values,
@@ -32,7 +33,8 @@ impl Gradients {
         }
     }
 
-    /// Those of a quantity that is 1 where something shows and 0 where nothing does; the boundary lies at one half.
+    /// Those of a quantity that is 1 where something shows and 0 where nothing does; the boundary
+    /// lies at one half.
     pub(super) fn of_shown(voxel_from_world: &DAffine3) -> Self {
         Self::new(voxel_from_world, &Values { base: 0.0, scale: 1.0, offset: 0.0 }, -1.0, 0.5)
     }
@@ -50,7 +52,8 @@ impl Gradients {
         let mut boundary = [0.0; BATCH];
         for i in 0..BATCH {
             let [a, b, c] = [normal[0][i], normal[1][i], normal[2][i]];
-            // Relative to the largest component, so that squaring can neither overflow nor underflow to zero.
+            // Relative to the largest component, so that squaring can neither overflow nor
+            // underflow to zero.
             let largest = a.abs().max(b.abs()).max(c.abs());
             let fits = (f32::MIN_POSITIVE..f32::INFINITY).contains(&largest);
             let unit = if fits { 1.0 / largest } else { 0.0 };

@@ -1,4 +1,5 @@
-//! Voxels whose values are labels: a sample has the label of the most trilinear weight, and no value in between.
+//! Voxels whose values are labels: a sample has the label of the most trilinear weight, and no
+//! value in between.
 
 use fearless_simd::prelude::*;
 
@@ -6,8 +7,8 @@ use super::batch::{BATCH, Pairs, Row};
 use super::opacity::Opacities;
 use crate::trace::node_samples::Measure;
 
-/// The labels of a batch: of those at the corners around each sample the one with the most trilinear weight, the larger of two with as
-/// much.
+/// The labels of a batch: of those at the corners around each sample the one with the most
+/// trilinear weight, the larger of two with as much.
 #[inline(always)]
 pub(super) fn labels(corners: &Pairs<4>, within: &[Row; 3]) -> Row {
     let mut most = corners[0][0];
@@ -45,7 +46,8 @@ fn is_uniform(corners: &Pairs<4>) -> bool {
     different == 0
 }
 
-/// The trilinear weights of the corners, in the order of [`Around::corners`](super::batch::Around::corners).
+/// The trilinear weights of the corners, in the order of
+/// [`Around::corners`](super::batch::Around::corners).
 #[inline(always)]
 fn weights([fx, fy, fz]: &[Row; 3]) -> [Row; 8] {
     let mut weights = [[0.0; BATCH]; 8];
@@ -60,8 +62,9 @@ fn weights([fx, fy, fz]: &[Row; 3]) -> [Row; 8] {
     weights
 }
 
-/// Replaces the labels of voxels: 1 for those that are at least as opaque as the sample that they surround, or that show at all if it does
-/// not; 0 for others. The mean is one half where what shows ends. All labels are stored numbers less the base.
+/// Replaces the labels of voxels: 1 for those that are at least as opaque as the sample that they
+/// surround, or that show at all if it does not; 0 for others. The mean is one half where what
+/// shows ends. All labels are stored numbers less the base.
 #[inline(always)]
 pub(super) fn show<S: Simd, const ROWS: usize>(
     simd: S,

@@ -1,9 +1,11 @@
-//! Grids as volume objects in the world: trilinear samples from bricks that are read as rays reach them.
+//! Grids as volume objects in the world: trilinear samples from bricks that are read as rays reach
+//! them.
 //!
-//! The samples of a slab are located in their bricks (`places`), and each ray is cut into *segments*, its samples in one
-//! brick (`spans`). Brick by brick, nearest first, the samples whose surroundings show anything (`visible`) are listed in groups
-//! of eight, and evaluated in batches (`brick`, `batch`): values, opacities (`opacity`) and, where they are required and the ray still goes
-//! on, gradients. Of voxels that are labels, none is between two (`labels`).
+//! The samples of a slab are located in their bricks (`places`), and each ray is cut into
+//! *segments*, its samples in one brick (`spans`). Brick by brick, nearest first, the samples whose
+//! surroundings show anything (`visible`) are listed in groups of eight, and evaluated in batches
+//! (`brick`, `batch`): values, opacities (`opacity`) and, where they are required and the ray still
+//! goes on, gradients. Of voxels that are labels, none is between two (`labels`).
 
 mod ahead;
 mod batch;

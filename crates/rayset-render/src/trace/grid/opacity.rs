@@ -1,7 +1,7 @@
 //! The opacity rule of a grid for many values at once, and where it shows anything.
 //!
-//! Values are counted from where the rule begins to show anything, in stored units, so that single precision suffices however large scale,
-//! offset and other values are.
+//! Values are counted from where the rule begins to show anything, in stored units, so that single
+//! precision suffices however large scale, offset and other values are.
 
 use fearless_simd::f32x16;
 use fearless_simd::prelude::*;
@@ -22,8 +22,9 @@ pub(super) struct Values {
 }
 
 impl Values {
-    /// Numbers are counted from where the rule begins to show anything, within the range of the grid: marks for places without a
-    /// value may be so large that nothing else could be told apart if they were counted from these.
+    /// Numbers are counted from where the rule begins to show anything, within the range of the
+    /// grid: marks for places without a value may be so large that nothing else could be told apart
+    /// if they were counted from these.
     pub(super) fn new(header: &GridHeader, rule: &OpacityRule) -> Self {
         let begins = match rule {
             OpacityRule::Curve(points) => {
@@ -66,7 +67,8 @@ enum Rule {
     Curve(Vec<Piece>),
 }
 
-/// From `from` on (of −∞ for the first piece), the opacity is `opacity` + `slope` · (number − `start`).
+/// From `from` on (of −∞ for the first piece), the opacity is `opacity` + `slope` · (number −
+/// `start`).
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     from: f32,
@@ -218,7 +220,8 @@ fn pieces(points: &[(f64, f64)], values: &Values) -> Vec<Piece> {
     if values.scale == 0.0 {
         return vec![flat(f32::NEG_INFINITY, crate::scene::curve_at(points, values.offset))];
     }
-    // Ascending values are descending numbers if the scale is negative: what holds from a point on then holds up to it.
+    // Ascending values are descending numbers if the scale is negative: what holds from a point on
+    // then holds up to it.
     let rises = values.scale > 0.0;
     let mut pieces = vec![flat(f32::NEG_INFINITY, if rises { first } else { last })];
     let mut between: Vec<Piece> = (points.windows(2))
@@ -341,7 +344,8 @@ mod tests {
             points.sort_by(|a, b| a.0.total_cmp(&b.0));
             let rule = OpacityRule::Curve(points);
             let opacities = Opacities::new(&rule, &Values { base: 0.0, scale: 1.0, offset: 0.0 }, 1.0);
-            // The other way round, up to rounding: only ranges that touch something shown are shown.
+            // The other way round, up to rounding: only ranges that touch something shown are
+            // shown.
             let (a, b) = (f64::from(low) - 1e-5, f64::from(low + width) + 1e-5);
             prop_assert!(!opacities.shows(low, low + width) || rule.shows_between(a, b));
             prop_assert!(opacities.shows(low, low + width) || !rule.shows_between(f64::from(low), f64::from(low + width)));

@@ -5,7 +5,8 @@ use super::rays::GridRay;
 use super::shape::BLOCK_CELLS;
 use crate::field::{BLOCK_SAMPLES, LANES, SLAB_SAMPLES};
 
-/// One number for each sample of a slab, lane by lane, in groups of eight samples that follow each other on a ray.
+/// One number for each sample of a slab, lane by lane, in groups of eight samples that follow each
+/// other on a ray.
 pub(super) type OfSamples<T> = [[T; BLOCK_SAMPLES]; GROUPS];
 /// Groups of eight samples in a slab.
 pub(super) const GROUPS: usize = LANES * GROUPS_OF_LANE;
@@ -32,9 +33,10 @@ impl Places {
 
     /// Finds the places of all samples of a ray. Returns the numbers of their bricks.
     ///
-    /// Positions beyond the first or the last cell of the grid are in that one: a place on the last voxel of an axis is
-    /// at 1 in the last cell. The difference between a position and its cell is between numbers within a cell of each other,
-    /// so it is not rounded until it becomes single precision.
+    /// Positions beyond the first or the last cell of the grid are in that one: a place on the last
+    /// voxel of an axis is at 1 in the last cell. The difference between a position and its cell is
+    /// between numbers within a cell of each other, so it is not rounded until it becomes single
+    /// precision.
     #[inline(always)]
     pub(super) fn locate(&mut self, grid: &Placement, ray: &GridRay, lane: usize) -> [u32; SLAB_SAMPLES] {
         let shape = grid.bricks.shape;
@@ -76,8 +78,8 @@ fn row<T>(of_samples: &mut OfSamples<T>, lane: usize) -> &mut [T; SLAB_SAMPLES] 
     &mut of_samples.as_flattened_mut().as_chunks_mut().0[lane % LANES]
 }
 
-/// A whole number below 2³², as an integer: plus 2⁵² it is the lowest bits of a number in double precision. Vectors of these can
-/// be converted like this at every level of instructions.
+/// A whole number below 2³², as an integer: plus 2⁵² it is the lowest bits of a number in double
+/// precision. Vectors of these can be converted like this at every level of instructions.
 #[inline(always)]
 fn whole(number: f64) -> u32 {
     (number + 4_503_599_627_370_496.0).to_bits() as u32

@@ -41,8 +41,8 @@ impl GridRays {
     fn find_within(&self, lane: usize, ray: &Ray, bounds: &Aabb) -> (u64, u64) {
         let Some((enter, exit)) = bounds.clip(ray) else { return (0, 0) };
         let number = |t: f64| (t / self.step - self.offset[lane]).clamp(0.0, MOST_SAMPLES);
-        // Whether a sample is inside is tested at its own position; this range has at most one or two too many at either
-        // end.
+        // Whether a sample is inside is tested at its own position; this range has at most one or
+        // two too many at either end.
         let (mut first, mut end) =
             ((number(enter).floor() - 1.0).max(0.0) as u64, (number(exit).ceil() + 2.0) as u64);
         let slab = |sample: u64| self.ray(lane, Slab { first: sample, samples: 1 });
@@ -66,7 +66,8 @@ impl GridRays {
         }
     }
 
-    /// The samples of a ray inside the grid, counted from the first of the slab: the first, and the one after the last.
+    /// The samples of a ray inside the grid, counted from the first of the slab: the first, and the
+    /// one after the last.
     #[inline(always)]
     pub(super) fn within(&self, lane: usize, slab: Slab) -> (usize, usize) {
         let (first, end) = self.within[lane];

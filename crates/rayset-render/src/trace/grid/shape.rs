@@ -2,7 +2,8 @@
 
 use rayset_files::grid::format::GridHeader;
 
-/// Cells along an edge of a block, the part of a brick of which it is known whether it shows anything.
+/// Cells along an edge of a block, the part of a brick of which it is known whether it shows
+/// anything.
 pub(super) const BLOCK_CELLS: usize = 4;
 
 /// The voxels along the edges of a brick.

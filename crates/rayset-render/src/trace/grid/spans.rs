@@ -42,7 +42,8 @@ const NONE: u16 = u16::MAX;
 /// Bricks are found again in chains, by their numbers.
 const CHAINS: usize = 256;
 
-/// Knuth's multiplicative hash: bricks above each other, whose numbers differ by powers of two, are in different chains.
+/// Knuth's multiplicative hash: bricks above each other, whose numbers differ by powers of two, are
+/// in different chains.
 #[inline(always)]
 fn chain(number: u32) -> usize {
     (number.wrapping_mul(0x9e37_79b1) >> 24) as usize
@@ -56,8 +57,8 @@ impl MetBricks {
         Self { bricks: Vec::new(), segments: Vec::new(), latest: [NONE; CHAINS] }
     }
 
-    /// Finds where the samples of a slab are, and groups those in `live` that are inside the grid by brick; bricks by
-    /// their first sample on any ray.
+    /// Finds where the samples of a slab are, and groups those in `live` that are inside the grid
+    /// by brick; bricks by their first sample on any ray.
     #[inline(always)]
     pub(super) fn find(
         &mut self,
@@ -145,8 +146,8 @@ impl MetBricks {
     }
 }
 
-/// The bricks that the samples of a slab lie in, or some more: the first and the last along each axis. `None` if no
-/// sample is inside the grid.
+/// The bricks that the samples of a slab lie in, or some more: the first and the last along each
+/// axis. `None` if no sample is inside the grid.
 #[inline(always)]
 pub(super) fn bricks_met(grid: &Placement, rays: &GridRays, slab: Slab, lanes: u64) -> Option<[[u32; 2]; 3]> {
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);

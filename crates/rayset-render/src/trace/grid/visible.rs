@@ -25,7 +25,8 @@ impl Blocks {
         self.0[usize::from(number) / 64 % WORDS] >> (number % 64) & 1 == 1
     }
 
-    /// Adds a block. Bricks that are not cubes may have more blocks than there are bits; some then share one.
+    /// Adds a block. Bricks that are not cubes may have more blocks than there are bits; some then
+    /// share one.
     #[inline(always)]
     fn add(&mut self, number: usize) {
         self.0[number / 64 % WORDS] |= 1 << (number % 64);
@@ -43,7 +44,8 @@ impl Blocks {
         let count = [0, 1, 2].map(|axis| shape.blocks(axis));
         for number in 0..count.iter().product() {
             let block = [number % count[0], number / count[0] % count[1], number / count[0] / count[1]];
-            // The corners of its cells, of which the last of the brick are one voxel before its end.
+            // The corners of its cells, of which the last of the brick are one voxel before its
+            // end.
             let corners = |axis: usize| {
                 let first = 1 + block[axis] * BLOCK_CELLS;
                 first..(first + CORNERS).min(shape.voxels(axis) - 1)
@@ -104,8 +106,9 @@ fn first_corner<V: Voxel>(block: usize) -> usize {
 /// Most voxels in a layer of a brick.
 const MOST_IN_LAYER: usize = VoxelKind::U8.brick_voxels() * VoxelKind::U8.brick_voxels();
 
-/// The least and the largest stored numbers of a layer of blocks: for each place of a layer of voxels, of the cube of
-/// [`CORNERS`]³ voxels that begins there. They are found for all places, by vectors, though few are needed.
+/// The least and the largest stored numbers of a layer of blocks: for each place of a layer of
+/// voxels, of the cube of [`CORNERS`]³ voxels that begins there. They are found for all places, by
+/// vectors, though few are needed.
 struct Layers<V: Voxel> {
     low: [V::Stored; MOST_IN_LAYER],
     high: [V::Stored; MOST_IN_LAYER],
@@ -159,7 +162,8 @@ impl KnownBlocks {
         Self(Vec::new())
     }
 
-    /// The blocks of a brick with a number that no other brick of the scene has; `None` if they are not known.
+    /// The blocks of a brick with a number that no other brick of the scene has; `None` if they are
+    /// not known.
     #[inline(always)]
     pub(super) fn get(&self, number: u64) -> Option<&Blocks> {
         let known = self.0.get(number as usize % REMEMBERED)?;

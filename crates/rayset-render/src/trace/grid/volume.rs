@@ -124,7 +124,8 @@ impl GridVolume {
         self.first_ranges_page() + (u64::from(brick) / RANGES_PER_PAGE) as u32
     }
 
-    /// The range of a brick, of the page that has it: the least and the largest number, less the base.
+    /// The range of a brick, of the page that has it: the least and the largest number, less the
+    /// base.
     pub(super) fn range_of(&self, page: &[u8], brick: u32) -> (f32, f32) {
         let at = PAGE_HEAD_BYTES + (u64::from(brick) % RANGES_PER_PAGE) as usize * 8;
         let number = |at: usize| f32::from_le_bytes([page[at], page[at + 1], page[at + 2], page[at + 3]]);
@@ -186,8 +187,9 @@ impl GridVolume {
         dispatch!(simd.level(), _simd => met.find(&self.field.placement, rays, slab, live, places));
         self.fetch(request, met, blocks)?;
         let mut seen = [SLAB_SAMPLES; LANES];
-        // Brick by brick, whichever rays pass through them: each brick is retained once, and a small budget need not
-        // read it again for every ray. Samples are independent of each other, so their order does not matter.
+        // Brick by brick, whichever rays pass through them: each brick is retained once, and a
+        // small budget need not read it again for every ray. Samples are independent of each other,
+        // so their order does not matter.
         for brick in met.bricks() {
             if !self.shows(request, brick.number, blocks)? {
                 continue;

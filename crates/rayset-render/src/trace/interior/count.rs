@@ -1,4 +1,5 @@
-//! Counts the votes for the inside of a node, on a session's threads: block by block of the lattice's rays.
+//! Counts the votes for the inside of a node, on a session's threads: block by block of the
+//! lattice's rays.
 
 use std::any::Any;
 use std::cell::{Cell, RefCell};
@@ -150,8 +151,8 @@ impl Counting {
         outcome
     }
 
-    /// Asks for the pages of the blocks from one on, if they are far away: a block that waited for page after page would take a
-    /// round trip for each.
+    /// Asks for the pages of the blocks from one on, if they are far away: a block that waited for
+    /// page after page would take a round trip for each.
     fn ask_ahead(&self, access: Access<'_>, number: usize) {
         const AHEAD: usize = 16;
         /// They are asked for in bursts, so that neighbours come in one request.
@@ -266,7 +267,8 @@ mod tests {
         let steps = StepRule::new(&program, &RenderSettings::default()).expect("steps");
         let lattice = Lattice::over(&scene.root.bounds(), 48).expect("a lattice");
         let (votes, axes) = count(&engine, program, steps, lattice).expect("votes");
-        // Of rays at random distances from the axis, a tenth of a radius meets the shell without its hollow.
+        // Of rays at random distances from the axis, a tenth of a radius meets the shell without
+        // its hollow.
         let distance = |ray: Ray| DVec3::new(ray.origin.y, ray.origin.z, 0.0).length();
         let block_rays = (0..36).flat_map(|number| {
             let block = lattice.block(number);

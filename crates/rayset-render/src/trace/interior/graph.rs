@@ -11,7 +11,8 @@ use crate::scene::{Node, NoiseCloud, Operator, Pattern, Procedural, RenderSettin
 use crate::trace::RenderError;
 use rayset_base::geometry::DVec3;
 
-/// Makes what a node encloses, in a colour, in the space of the node's parent; `None` if it is open.
+/// Makes what a node encloses, in a colour, in the space of the node's parent; `None` if it is
+/// open.
 pub(super) type MakeInside<'a> =
     dyn FnMut(&Arc<Node>, [f64; 3]) -> Result<Option<Arc<dyn Procedural>>, RenderError> + 'a;
 
@@ -39,7 +40,8 @@ pub(super) fn bytes_of_cap(node: &Node, resolution: u32) -> u64 {
     Lattice::over(&node.bounds(), resolution).map_or(0, |lattice| Interior::bytes(&lattice))
 }
 
-/// A scene whose graph has the size that caps give it, and what these take; `None` if it has no caps.
+/// A scene whose graph has the size that caps give it, and what these take; `None` if it has no
+/// caps.
 pub(in crate::trace) fn sized(scene: &Scene, settings: &RenderSettings) -> Option<(Scene, CapBytes)> {
     let (mut caps, mut counting, mut kept, mut counted) = (0, 0, 0, Vec::new());
     let root = fill(&scene.root, &mut |node, _| {

@@ -1,4 +1,5 @@
-//! The votes of a lattice once they are counted, without those that are the same in all of a block of cells.
+//! The votes of a lattice once they are counted, without those that are the same in all of a block
+//! of cells.
 
 use super::lattice::{Lattice, Votes};
 
@@ -13,7 +14,8 @@ pub(super) struct Inside {
     pub(super) lattice: Lattice,
     /// Number of blocks along each axis.
     blocks: [usize; 3],
-    /// For each block, the votes of all its cells, or [`MIXED`] and its place among the blocks whose cells differ.
+    /// For each block, the votes of all its cells, or [`MIXED`] and its place among the blocks
+    /// whose cells differ.
     entries: Vec<u32>,
     mixed: Vec<u8>,
 }

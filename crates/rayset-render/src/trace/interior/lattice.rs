@@ -10,7 +10,8 @@ pub(super) const VOTE: u8 = 40;
 /// Edge of a block of the lattice's rays, which are traced as one packet.
 pub(super) const BLOCK_RAYS: usize = 8;
 
-/// Cubic cells over a box. Positions *in cells* have their origin in the box's least corner and cells of edge 1.
+/// Cubic cells over a box. Positions *in cells* have their origin in the box's least corner and
+/// cells of edge 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lattice {
     corner: DVec3,
@@ -29,8 +30,8 @@ pub(super) struct RayBlock {
 }
 
 impl Lattice {
-    /// A lattice over a box, with `resolution` cells along its longest side; `None` if the box is empty, without end or a
-    /// point.
+    /// A lattice over a box, with `resolution` cells along its longest side; `None` if the box is
+    /// empty, without end or a point.
     pub(super) fn over(bounds: &Aabb, resolution: u32) -> Option<Self> {
         if bounds.is_empty() || !bounds.size().is_finite() {
             return None;
@@ -114,7 +115,8 @@ impl RayBlock {
     }
 }
 
-/// Votes for each cell of a lattice. Threads add to them in any order: sums of whole numbers are the same.
+/// Votes for each cell of a lattice. Threads add to them in any order: sums of whole numbers are
+/// the same.
 pub(super) struct Votes {
     pub(super) lattice: Lattice,
     cells: Vec<AtomicU8>,
@@ -138,8 +140,9 @@ impl Votes {
         self.cells[self.lattice.index(cell)].store(0, Ordering::Relaxed);
     }
 
-    /// Replaces the votes of each cell by their mean over the three cells along an axis, for each axis in turn. Cells where
-    /// lines that lack a crossing meet (at pores, or where two walls of something thin are one) differ from all around them.
+    /// Replaces the votes of each cell by their mean over the three cells along an axis, for each
+    /// axis in turn. Cells where lines that lack a crossing meet (at pores, or where two walls of
+    /// something thin are one) differ from all around them.
     pub(super) fn smooth(&self) {
         let size = self.lattice.size;
         let mut row = Vec::new();
@@ -163,8 +166,9 @@ impl Votes {
         }
     }
 
-    /// Adds the votes of the two rays that leave each cell of a line in opposite directions. `crossings` are the places
-    /// where the line passes through the surface, in cells, ascending; `row` is scratch memory.
+    /// Adds the votes of the two rays that leave each cell of a line in opposite directions.
+    /// `crossings` are the places where the line passes through the surface, in cells, ascending;
+    /// `row` is scratch memory.
     pub(super) fn add_line(&self, axis: usize, first: [usize; 3], crossings: &[f64], row: &mut Vec<f64>) {
         if crossings.is_empty() {
             return;

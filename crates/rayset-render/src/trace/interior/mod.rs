@@ -1,18 +1,21 @@
 //! Caps: what the first object of a difference encloses, as a solid that is cut together with it.
 //!
-//! A scan is a shell: cut open, it shows its hollow inside. Where a difference has a cap, its first object is replaced by
-//! the union of itself and of everything that it encloses. *Enclosed* is a place from which of six rays along the axes at
-//! least four cross the object's surface an odd number of times. The surface is where the object is at least half opaque,
-//! and a ray crosses it where it comes in on one side and leaves on the other, as the shading vectors say: a ray that only
-//! grazes it does not. The rays are those through the centres of the cells of a lattice. Votes are smoothed over
-//! neighbouring cells, pieces that are too small to be anything are left out, and between cells votes are interpolated. All
-//! of it is a function of the scene and of the lattice's resolution alone.
+//! A scan is a shell: cut open, it shows its hollow inside. Where a difference has a cap, its first
+//! object is replaced by the union of itself and of everything that it encloses. *Enclosed* is a
+//! place from which of six rays along the axes at least four cross the object's surface an odd
+//! number of times. The surface is where the object is at least half opaque, and a ray crosses it
+//! where it comes in on one side and leaves on the other, as the shading vectors say: a ray that
+//! only grazes it does not. The rays are those through the centres of the cells of a lattice. Votes
+//! are smoothed over neighbouring cells, pieces that are too small to be anything are left out, and
+//! between cells votes are interpolated. All of it is a function of the scene and of the lattice's
+//! resolution alone.
 //!
-//! How much memory is kept of a cap is not known before it is counted: of a solid, nothing. So memory is set aside for counting
-//! one, and what is kept is taken from what else the scene may have ([`CapMemory`]).
+//! How much memory is kept of a cap is not known before it is counted: of a solid, nothing. So
+//! memory is set aside for counting one, and what is kept is taken from what else the scene may
+//! have ([`CapMemory`]).
 //!
-//! Where along two axes more than a quarter of the rays that cross the surface do so an odd number of times, it is open,
-//! and has no cap.
+//! Where along two axes more than a quarter of the rays that cross the surface do so an odd number
+//! of times, it is open, and has no cap.
 
 mod count;
 mod field;
@@ -35,14 +38,15 @@ use super::steps::StepRule;
 use crate::scene::{Node, Procedural, RenderSettings, Scene};
 use rayset_files::PagedFiles;
 
-/// Of the rays along an axis that cross a closed surface, at most this share do so an odd number of times: rays that pass
-/// through a pore.
+/// Of the rays along an axis that cross a closed surface, at most this share do so an odd number of
+/// times: rays that pass through a pore.
 const MOST_ODD: f64 = 0.25;
 
 /// The scene with its caps, and a sentence on each that was left out.
 ///
 /// # Errors
-/// [`RenderError`] if a page cannot be obtained, a step is out of range, or the caps do not fit in `memory`.
+/// [`RenderError`] if a page cannot be obtained, a step is out of range, or the caps do not fit in
+/// `memory`.
 pub(super) fn with_caps(
     scene: &Scene,
     settings: &RenderSettings,
@@ -52,8 +56,8 @@ pub(super) fn with_caps(
     let (mut remarks, mut known) = (Vec::new(), Vec::new());
     let resolution = settings.cap_resolution;
     let Some((_, all)) = graph::sized(scene, settings) else { return Ok((scene.clone(), remarks)) };
-    // Bytes of what is kept so far, and the most that were needed at a time. Where they are too many, the rest is counted but
-    // not kept, to say how many there must be.
+    // Bytes of what is kept so far, and the most that were needed at a time. Where they are too
+    // many, the rest is counted but not kept, to say how many there must be.
     let (mut kept, mut most, mut lacks) = (0, 0, false);
     let mut needs = |bytes: u64| {
         most = bytes.max(most);

@@ -23,8 +23,8 @@ pub(super) struct PassTracer<'p> {
     counts: RenderCounts,
 }
 
-/// Samples of a ray that follow each other and are at least half opaque: distance and shading vector of the first and of
-/// the last.
+/// Samples of a ray that follow each other and are at least half opaque: distance and shading
+/// vector of the first and of the last.
 #[derive(Clone, Copy, Debug)]
 struct Pass {
     first: (f64, DVec3),
@@ -32,8 +32,9 @@ struct Pass {
 }
 
 impl Pass {
-    /// Where the ray crosses the surface; `None` if it leaves on the side from which it came, so that it has only grazed
-    /// it. Shading vectors point away from the surface, on either side of it.
+    /// Where the ray crosses the surface; `None` if it leaves on the side from which it came, so
+    /// that it has only grazed it. Shading vectors point away from the surface, on either side of
+    /// it.
     fn crossing(&self) -> Option<f64> {
         (self.first.1.dot(self.last.1) < 0.0).then_some(0.5 * (self.first.0 + self.last.0))
     }

@@ -1,10 +1,12 @@
-//! Leaving out what is too small to be the inside of anything: cells in crevices, which rays along two axes mistake.
+//! Leaving out what is too small to be the inside of anything: cells in crevices, which rays along
+//! two axes mistake.
 
 use super::lattice::Votes;
 
 /// Pieces of fewer cells than this share of all cells inside are left out.
 const SMALLEST: f64 = 1e-3;
-/// Pieces are left as they are if there is more than one run for this many cells: it bounds the memory.
+/// Pieces are left as they are if there is more than one run for this many cells: it bounds the
+/// memory.
 const CELLS_PER_RUN: usize = 32;
 
 /// Bytes for the pieces of a lattice of so many cells.
@@ -24,8 +26,8 @@ struct Run {
     cells: u32,
 }
 
-/// Takes away the votes of the cells of small pieces. A cell is inside from `least` votes on; cells are in one piece if they
-/// share a face.
+/// Takes away the votes of the cells of small pieces. A cell is inside from `least` votes on; cells
+/// are in one piece if they share a face.
 pub(super) fn drop_small(votes: &Votes, least: u8) {
     let [width, height, depth] = votes.lattice.size;
     let most = votes.lattice.cells() / CELLS_PER_RUN;

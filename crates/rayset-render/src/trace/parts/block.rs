@@ -1,5 +1,6 @@
-//! The pixels of a block as bytes: channel after channel, of each channel the lowest bytes of all pixels first, then compressed by LZ4.
-//! Exponents and empty pixels, which repeat, come together that way.
+//! The pixels of a block as bytes: channel after channel, of each channel the lowest bytes of all
+//! pixels first, then compressed by LZ4. Exponents and empty pixels, which repeat, come together
+//! that way.
 
 use crate::image::LayerPixel;
 
@@ -92,8 +93,8 @@ impl Contents {
         if packed.len() < planes.len() { packed } else { planes }
     }
 
-    /// Reads pixels into slices, which are as long as they are many; `layers` may be empty if there are none. Returns what is wrong with
-    /// the bytes, if anything.
+    /// Reads pixels into slices, which are as long as they are many; `layers` may be empty if there
+    /// are none. Returns what is wrong with the bytes, if anything.
     pub(super) fn decode(
         self,
         bytes: &[u8],

@@ -1,5 +1,5 @@
-//! Fetching the stored bytes of blocks: one block at a time from files, many at a time from objects that are far away, where each
-//! costs a round trip.
+//! Fetching the stored bytes of blocks: one block at a time from files, many at a time from objects
+//! that are far away, where each costs a round trip.
 
 use std::io;
 use std::sync::Arc;
@@ -32,7 +32,8 @@ impl Fetcher {
         Self { open: vec![None; parts.min(OPEN_PARTS)] }
     }
 
-    /// The bytes of blocks, each of a part, in their order, read at the same time. Their checksums have yet to be compared.
+    /// The bytes of blocks, each of a part, in their order, read at the same time. Their checksums
+    /// have yet to be compared.
     pub(super) fn fetch(&mut self, blocks: &[(&Source, Entry)]) -> Result<Vec<Vec<u8>>, PartError> {
         let mut reads = Vec::with_capacity(blocks.len());
         for &(source, entry) in blocks {

@@ -9,7 +9,8 @@
 //! | 8 each | of every block its length and its CRC-32C |
 //! | 28 | where that index is, number of blocks, CRC-32C of the index and of this, magic |
 //!
-//! Numbers are little-endian. All checksums behind the first 36 bytes continue the one of these: what belongs to another part is damage.
+//! Numbers are little-endian. All checksums behind the first 36 bytes continue the one of these:
+//! what belongs to another part is damage.
 
 use serde::{Deserialize, Serialize};
 
@@ -229,7 +230,8 @@ impl About {
         Blocks::of(&self.rendered())
     }
 
-    /// Whether everything but the share and what proves sameness is equal; otherwise both, in words.
+    /// Whether everything but the share and what proves sameness is equal; otherwise both, in
+    /// words.
     pub(super) fn other_picture(&self, other: &Self) -> Option<String> {
         let text = |of: &Self| {
             let Region { columns, rows } = of.region();

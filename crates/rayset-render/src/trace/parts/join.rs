@@ -15,7 +15,8 @@ use rayset_base::cancel::CancelToken;
 
 /// Memory for each part besides its blocks: names, open files.
 const PART_BYTES: u64 = 1024;
-/// Memory for reading and unpacking blocks, and for the stack and the buffers of an encoder that is a row of blocks behind.
+/// Memory for reading and unpacking blocks, and for the stack and the buffers of an encoder that is
+/// a row of blocks behind.
 const READING_BYTES: u64 = 5 << 19;
 /// Memory for the stack of a thread that waits for a block.
 const WAITING_BYTES: u64 = 64 << 10;
@@ -45,12 +46,13 @@ impl std::fmt::Debug for Joined {
 }
 
 impl Joined {
-    /// Joins parts, in any order, in `memory_bytes` of memory: for the parts, for the rows of the picture on their way to a sink, and for
-    /// those in an encoder. The iterator may open them one by one.
+    /// Joins parts, in any order, in `memory_bytes` of memory: for the parts, for the rows of the
+    /// picture on their way to a sink, and for those in an encoder. The iterator may open them one
+    /// by one.
     ///
     /// # Errors
-    /// [`PartError`] if one of them is an error, damaged, of another picture or there twice, if one is missing, or if the memory is too
-    /// small; then it says how much is needed.
+    /// [`PartError`] if one of them is an error, damaged, of another picture or there twice, if one
+    /// is missing, or if the memory is too small; then it says how much is needed.
     pub fn join(
         parts: impl IntoIterator<Item = Result<Part, PartError>>,
         memory_bytes: u64,
@@ -67,8 +69,8 @@ impl Joined {
         Err(PartError::Missing { missing, of: joined.sources.len() as u32 })
     }
 
-    /// Joins the parts that are there, at least one, as [`join`](Self::join) does. Pixels of those that are missing are transparent, and
-    /// ambient occlusion beside them is not what it will be.
+    /// Joins the parts that are there, at least one, as [`join`](Self::join) does. Pixels of those
+    /// that are missing are transparent, and ambient occlusion beside them is not what it will be.
     ///
     /// # Errors
     /// As [`join`](Self::join), but for missing parts.
@@ -154,11 +156,12 @@ impl Joined {
         self.memory_bytes
     }
 
-    /// Hands the picture to a sink, band by band from the top: bit for bit what a render of the region hands on. Bands may begin and end
-    /// at other rows.
+    /// Hands the picture to a sink, band by band from the top: bit for bit what a render of the
+    /// region hands on. Bands may begin and end at other rows.
     ///
     /// # Errors
-    /// [`PartError`] if a part cannot be read or is damaged, the sink refuses a band, or `cancel` is cancelled.
+    /// [`PartError`] if a part cannot be read or is damaged, the sink refuses a band, or `cancel`
+    /// is cancelled.
     pub fn bands(&self, cancel: &CancelToken, sink: &mut (impl BandSink + ?Sized)) -> Result<(), PartError> {
         match self.about.surroundings() {
             None => self.rendered(cancel, sink),

@@ -1,4 +1,5 @@
-//! Reading a part: its head and its end when it is opened, its index and its blocks when they are asked for.
+//! Reading a part: its head and its end when it is opened, its index and its blocks when they are
+//! asked for.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -13,7 +14,8 @@ use super::share::Share;
 use rayset_store::storage::shown;
 use rayset_store::storage::{InputFile, Storage, address_of};
 
-/// A part of a picture, whose head and end have been checked. Its pixels are checked as they are read.
+/// A part of a picture, whose head and end have been checked. Its pixels are checked as they are
+/// read.
 pub struct Part {
     pub(super) source: Source,
     pub(super) about: About,
@@ -26,7 +28,8 @@ pub struct Part {
 #[derive(Clone)]
 pub(super) struct Source {
     pub(super) name: String,
-    /// A file or an object is opened for each use, because there may be more parts than can be open at a time.
+    /// A file or an object is opened for each use, because there may be more parts than can be open
+    /// at a time.
     place: Place,
     pub(super) seed: u32,
 }

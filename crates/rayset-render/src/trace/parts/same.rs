@@ -144,7 +144,8 @@ fn files(scene: &Scene) -> String {
     }
 }
 
-/// A hash of everything that a scene says, and of its files what they are called by their identities.
+/// A hash of everything that a scene says, and of its files what they are called by their
+/// identities.
 fn scene_identity(scene: &Scene) -> String {
     let mut text = Hashed(StreamHash::new("scene"));
     // Writing into a hash does not fail.
@@ -185,7 +186,8 @@ fn write_node(
     write!(text, ")")
 }
 
-/// A hash of what the functions give that the system's library computes, and that it may round as it likes.
+/// A hash of what the functions give that the system's library computes, and that it may round as
+/// it likes.
 fn functions() -> Identity {
     /// So many arguments of each function.
     const ARGUMENTS: u32 = 512;

@@ -1,9 +1,10 @@
 //! How a picture is divided into shares.
 //!
-//! The unit is the block: a look-ahead tile, 32×32 pixels of the picture's lattice, clipped to what is rendered. Blocks are numbered
-//! along the curve that a render follows, and dealt out in stretches, round and round. Stretches keep together what needs the same
-//! pages; and as every share has stretches from all over the picture, and several of whatever is not small in it, shares take about
-//! the same time.
+//! The unit is the block: a look-ahead tile, 32×32 pixels of the picture's lattice, clipped to what
+//! is rendered. Blocks are numbered along the curve that a render follows, and dealt out in
+//! stretches, round and round. Stretches keep together what needs the same pages; and as every
+//! share has stretches from all over the picture, and several of whatever is not small in it,
+//! shares take about the same time.
 
 use std::fmt;
 use std::ops::Range;
@@ -61,7 +62,8 @@ impl Share {
         blocks.of_share(self).map(move |block| blocks.region(block))
     }
 
-    /// An upper bound of the bytes that rendering this share of a region takes besides the render itself and the pixels that are held.
+    /// An upper bound of the bytes that rendering this share of a region takes besides the render
+    /// itself and the pixels that are held.
     #[must_use]
     pub fn index_bytes(self, region: &Region) -> u64 {
         let blocks = Blocks::of(region).count();

@@ -21,12 +21,14 @@ use rayset_base::setters;
 pub struct PartOptions {
     /// The share of the picture.
     pub share: Share,
-    /// Most pixels that are held in memory at a time, but always those of a square of 32×32; 16 bytes each, and 60 with layers or
-    /// ambient occlusion. 2²⁰ by default.
+    /// Most pixels that are held in memory at a time, but always those of a square of 32×32; 16
+    /// bytes each, and 60 with layers or ambient occlusion. 2²⁰ by default.
     pub held_pixels: u64,
-    /// Whatever whoever joins the parts needs besides pixels, up to 64 MiB; the same in all parts. Empty by default.
+    /// Whatever whoever joins the parts needs besides pixels, up to 64 MiB; the same in all parts.
+    /// Empty by default.
     pub note: Vec<u8>,
-    /// Which build of the program renders, if that is known; the same in all parts. Empty by default.
+    /// Which build of the program renders, if that is known; the same in all parts. Empty by
+    /// default.
     pub build: String,
 }
 
@@ -45,12 +47,14 @@ impl PartOptions {
 }
 
 impl View {
-    /// Renders a share of a region of the picture, and writes it as a part. `progress` is told how many pixels of how many are finished.
+    /// Renders a share of a region of the picture, and writes it as a part. `progress` is told how
+    /// many pixels of how many are finished.
     ///
     /// The bytes are a function of view, region and options, whatever session renders them.
     ///
     /// # Errors
-    /// [`PartError`] as [`View::render`] and [`View::render_bands`], if the output refuses bytes, or if the picture is too large.
+    /// [`PartError`] as [`View::render`] and [`View::render_bands`], if the output refuses bytes,
+    /// or if the picture is too large.
     pub fn render_part(
         &self,
         region: &Region,

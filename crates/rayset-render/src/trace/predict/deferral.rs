@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Number of attempts at a tile without waiting. The next attempt waits for every page, so that even with a budget that
-/// keeps none of them between attempts the tile is finished.
+/// Number of attempts at a tile without waiting. The next attempt waits for every page, so that
+/// even with a budget that keeps none of them between attempts the tile is finished.
 const IMPATIENT_ATTEMPTS: u32 = 6;
-/// The same where pages come from far away: hundreds of tiles are traced in the time that one page takes, and an attempt that
-/// waits for page after page takes many times that.
+/// The same where pages come from far away: hundreds of tiles are traced in the time that one page
+/// takes, and an attempt that waits for page after page takes many times that.
 const IMPATIENT_ATTEMPTS_FAR: u32 = 48;
 /// A tile that is deferred after so many attempts has less room than it needs.
 const STUCK: u32 = 5;
@@ -22,14 +22,16 @@ pub(in crate::trace) struct Deferral {
     pub(in crate::trace) most: usize,
     /// Whether pages come from far away.
     pub(in crate::trace) far: bool,
-    /// Whether any tile needs more room than there is beside the others: those that have been attempted most often come first.
+    /// Whether any tile needs more room than there is beside the others: those that have been
+    /// attempted most often come first.
     pub(in crate::trace) stuck: bool,
 }
 
 impl Deferral {
-    /// How far an attempt looks along its rays, as a factor on the optical depth with which they are expected to have ended, after so
-    /// many others. The first finds out whether anything is missing at all. If what was expected did not suffice, rays go on
-    /// farther than that; and if many attempts did not bring what is needed, there is no room for it.
+    /// How far an attempt looks along its rays, as a factor on the optical depth with which they
+    /// are expected to have ended, after so many others. The first finds out whether anything is
+    /// missing at all. If what was expected did not suffice, rays go on farther than that; and if
+    /// many attempts did not bring what is needed, there is no room for it.
     pub(in crate::trace) fn foresees(self, attempts: u32) -> Option<f32> {
         const LAST: u32 = 12;
         const MOST_DOUBLED: u32 = 6;
@@ -87,7 +89,8 @@ impl DeferredTiles {
         }
     }
 
-    /// The first place in the order of the picture whose tiles have not been deferred for longer than `patience`.
+    /// The first place in the order of the picture whose tiles have not been deferred for longer
+    /// than `patience`.
     pub(super) fn first_since(&self, now: Instant, patience: Duration) -> Option<u32> {
         let places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
         let waits = |at: &DeferredAt| now.saturating_duration_since(at.since) <= patience;

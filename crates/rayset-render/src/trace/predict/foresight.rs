@@ -1,7 +1,9 @@
-//! What rays will need of files that are far away, all along their way: it is asked for together. Rays from the eye are looked ahead at
-//! square by square (`lookahead`); those that follow from them (mirrored and bent rays, rays to lights, rays of lights that make tables
-//! of shadows) are known only when these have been traced. So if an attempt at a tile has met a page that was not there, the next one
-//! asks for all that its other rays will need before it is put off again: one round trip for all of them, not one for each.
+//! What rays will need of files that are far away, all along their way: it is asked for together.
+//! Rays from the eye are looked ahead at square by square (`lookahead`); those that follow from
+//! them (mirrored and bent rays, rays to lights, rays of lights that make tables of shadows) are
+//! known only when these have been traced. So if an attempt at a tile has met a page that was not
+//! there, the next one asks for all that its other rays will need before it is put off again: one
+//! round trip for all of them, not one for each.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -64,7 +66,8 @@ impl Foresight {
         for (at, instruction) in program.instructions.iter().enumerate() {
             match &instruction.action {
                 Action::Cloud(volume) if volume.placement.header().points > 0 => {
-                    // A page that has to be waited for costs more than some that are read in vain only if it is far away.
+                    // A page that has to be waited for costs more than some that are read in vain
+                    // only if it is far away.
                     let stop = if far && !ends[at] { 0.0 } else { stop };
                     let expected = Expected::new(&volume.shading, stop, far);
                     clouds.push(CloudAhead { at, file: number(&volume.placement.pages), expected });
@@ -89,7 +92,8 @@ impl Foresight {
         })
     }
 
-    /// Its grids: each with the index of its file, and the optical depth with which rays are expected to have ended.
+    /// Its grids: each with the index of its file, and the optical depth with which rays are
+    /// expected to have ended.
     pub(super) fn grids<'a>(
         &'a self,
         program: &'a Program,
@@ -120,15 +124,17 @@ impl Foresight {
         self.files.iter().map(|pages| pages.bytes()).max().unwrap_or(1)
     }
 
-    /// Asks for all pages that rays are expected to need and that are not in memory, at most 64 rays at a time, if the attempt
-    /// is one that does so. If any is absent, the attempt lacks it from now on.
+    /// Asks for all pages that rays are expected to need and that are not in memory, at most 64
+    /// rays at a time, if the attempt is one that does so. If any is absent, the attempt lacks it
+    /// from now on.
     pub(in crate::trace) fn ask<'r>(
         &self,
         program: &Program,
         access: Access<'_>,
         packets: impl IntoIterator<Item = &'r [Ray]>,
     ) {
-        /// One part in this many of the budget: of more, the first would have gone before the last are there.
+        /// One part in this many of the budget: of more, the first would have gone before the last
+        /// are there.
         const MOST_OF_BUDGET: u64 = 8;
         let Some(reach) = access.foresees.filter(|_| self.far) else { return };
         let most = (access.pages.share_bytes() / MOST_OF_BUDGET / self.page_bytes()).max(1) as usize;
@@ -155,9 +161,10 @@ impl Foresight {
         }
     }
 
-    /// Calls `want` with the pages of far files that some rays, at most 64, are expected to need, and the indices of the files; `reach` is
-    /// a factor on the optical depth with which they are expected to have ended. Returns whether that is all: not if pages are
-    /// absent that say what lies behind them.
+    /// Calls `want` with the pages of far files that some rays, at most 64, are expected to need,
+    /// and the indices of the files; `reach` is a factor on the optical depth with which they are
+    /// expected to have ended. Returns whether that is all: not if pages are absent that say what
+    /// lies behind them.
     pub(super) fn each_page(
         &self,
         program: &Program,
@@ -187,7 +194,8 @@ impl Foresight {
     }
 }
 
-/// Marks the instructions that make rays end where they alone would: what a union or a blend has of a child, it has at least.
+/// Marks the instructions that make rays end where they alone would: what a union or a blend has of
+/// a child, it has at least.
 fn mark_where_rays_end(program: &Program, at: usize, ends: &mut [bool]) {
     let instruction = &program.instructions[at];
     // What stands in several places has been gone through before.

@@ -1,4 +1,5 @@
-//! Pages that have been found ahead, and which tiles want them. Tiles are told by their places in the order of the render.
+//! Pages that have been found ahead, and which tiles want them. Tiles are told by their places in
+//! the order of the render.
 
 use std::collections::{BTreeSet, HashMap, HashSet, VecDeque};
 use std::ops::Range;
@@ -17,7 +18,8 @@ pub(super) struct PageId {
 pub(super) struct Looked {
     /// The tiles.
     pub(super) places: Range<u32>,
-    /// The pages in the order in which rays are expected to reach them, each with the last place whose rays can meet it.
+    /// The pages in the order in which rays are expected to reach them, each with the last place
+    /// whose rays can meet it.
     pages: Vec<(PageId, u32)>,
     /// Where in `pages` each is.
     at: HashMap<PageId, usize>,
@@ -53,8 +55,8 @@ pub(super) struct Found {
     pub(super) put_off: Option<Looked>,
     /// Places before this one are passed.
     passed_to: u32,
-    /// Pages that are wanted but not yet hinted at: the first place that wants the page, the page's rank in
-    /// it, and the page.
+    /// Pages that are wanted but not yet hinted at: the first place that wants the page, the page's
+    /// rank in it, and the page.
     pub(super) waiting: BTreeSet<(u32, u32, PageId)>,
     /// Pages found ahead that some upcoming tile may need.
     pub(super) seen: HashMap<PageId, Seen>,
@@ -74,7 +76,8 @@ pub(super) struct Found {
     pub(super) nodes_do_not_fit: bool,
     /// Tiles of tables of shadows whose pages have been looked for.
     pub(super) tiles_of_lights: HashSet<TileOfLight>,
-    /// The squares that have been examined but not yet traced: where each ends, and the number of pages it wants.
+    /// The squares that have been examined but not yet traced: where each ends, and the number of
+    /// pages it wants.
     pub(super) demands: VecDeque<(u32, u64)>,
 }
 
@@ -110,7 +113,8 @@ impl Found {
         self.next = places.end;
     }
 
-    /// The same, but at most so many pages that no tile before it wants: those that rays reach first.
+    /// The same, but at most so many pages that no tile before it wants: those that rays reach
+    /// first.
     pub(super) fn take_in_at_most(&mut self, mut looked: Looked, more: u64) {
         let mut left = more;
         if self.more_for(&looked) > more {
@@ -149,8 +153,8 @@ impl Found {
         self.waiting.insert((key.0, key.1, page));
     }
 
-    /// The pages of places that are passed once rays are at one and none is before it: those that none of them used, perhaps, and
-    /// those that no later one can need.
+    /// The pages of places that are passed once rays are at one and none is before it: those that
+    /// none of them used, perhaps, and those that no later one can need.
     pub(super) fn pass(&mut self, here: u32) -> Passed {
         let mut passed = Passed::default();
         if here <= self.passed_to {

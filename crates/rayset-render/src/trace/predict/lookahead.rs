@@ -1,6 +1,7 @@
-//! Looks ahead of the tile being traced. The picture is divided into look-ahead tiles of 32 × 32 pixels. The pages of
-//! upcoming look-ahead tiles are hinted at as far as there is room, given up if their look-ahead tile has passed
-//! without using them, and retired once no later look-ahead tile can need them.
+//! Looks ahead of the tile being traced. The picture is divided into look-ahead tiles of 32 × 32
+//! pixels. The pages of upcoming look-ahead tiles are hinted at as far as there is room, given up
+//! if their look-ahead tile has passed without using them, and retired once no later look-ahead
+//! tile can need them.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -22,8 +23,9 @@ use rayset_base::geometry::{Aabb, DVec3, Ray};
 use rayset_files::octree::node::Node;
 use rayset_store::working_set::{Object, PageClient, Reuse};
 
-/// Pages of far files stay for tiles that are deferred, for so many times as long as a page takes: if they were let go, such a
-/// tile would have to bring them in again. Longer, all others would wait for the few pages that take far longer than usual.
+/// Pages of far files stay for tiles that are deferred, for so many times as long as a page takes:
+/// if they were let go, such a tile would have to bring them in again. Longer, all others would
+/// wait for the few pages that take far longer than usual.
 const PATIENCE: u32 = 4;
 /// At least for so long.
 const LEAST_PATIENCE: Duration = Duration::from_millis(20);
@@ -86,8 +88,8 @@ impl LookaheadState {
         }
     }
 
-    /// Whether a tile should wait until those that are deferred are finished: the pages that it needs have not been looked for,
-    /// because those of the deferred ones take all the room.
+    /// Whether a tile should wait until those that are deferred are finished: the pages that it
+    /// needs have not been looked for, because those of the deferred ones take all the room.
     pub(in crate::trace) fn is_too_early(&self, tile: usize) -> bool {
         self.far && tile as u32 >= self.examined.load(Ordering::Relaxed)
     }
@@ -97,18 +99,20 @@ impl LookaheadState {
         self.pace.worked(time);
     }
 
-    /// How many of `count` tiles from one on are in the same look-ahead tile: at least that one. What a thread is still to
-    /// trace must not count as passed.
+    /// How many of `count` tiles from one on are in the same look-ahead tile: at least that one.
+    /// What a thread is still to trace must not count as passed.
     pub(in crate::trace) fn together(&self, tile: usize, count: usize) -> usize {
         self.order.rest_of_square(tile as u32, Edge::MOST).len().min(count)
     }
 
-    /// How many tiles a thread may defer: as many as there is room for besides those being traced. If rays need most of
-    /// the budget at a time, tracing other tiles meanwhile would only evict their pages.
+    /// How many tiles a thread may defer: as many as there is room for besides those being traced.
+    /// If rays need most of the budget at a time, tracing other tiles meanwhile would only evict
+    /// their pages.
     pub(in crate::trace) fn deferral(&self) -> Deferral {
         /// Enough to hide the latency of a slow disk.
         const MOST: u64 = 32;
-        /// The same of far storage, where most pages come in time: more tiles would keep more pages from those that come after them.
+        /// The same of far storage, where most pages come in time: more tiles would keep more pages
+        /// from those that come after them.
         const MOST_FAR: u64 = 16;
         /// Pages that a tile may bring in before it is deferred again.
         const PAGES_EACH: u64 = 8;
@@ -120,15 +124,17 @@ impl LookaheadState {
         Deferral { most, far: self.far, stuck: self.is_stuck() }
     }
 
-    /// Whether any tile has less room than it needs: nothing more is to be looked ahead at until it is finished.
+    /// Whether any tile has less room than it needs: nothing more is to be looked ahead at until it
+    /// is finished.
     pub(super) fn is_stuck(&self) -> bool {
         self.deferred.is_any_stuck()
     }
 }
 
 impl<'a> Lookahead<'a> {
-    /// Looks ahead of a tile that is about to be traced: at the look-ahead tiles beyond its own, up to `tiles_ahead` of them, or,
-    /// of far files, at as many as there is room for. Hints at their pages.
+    /// Looks ahead of a tile that is about to be traced: at the look-ahead tiles beyond its own, up
+    /// to `tiles_ahead` of them, or, of far files, at as many as there is room for. Hints at their
+    /// pages.
     pub(super) fn scout(&self, tile: usize, tiles_ahead: u32) {
         let state = self.state;
         if self.world.foresight.is_empty() {
@@ -152,7 +158,8 @@ impl<'a> Lookahead<'a> {
         let next = end_of(here);
         let until =
             (0..tiles_ahead).fold(next, |end, _| if end < state.order.len() { end_of(end) } else { end });
-        // The current look-ahead tile and the next are examined even without room, to know how many pages they need.
+        // The current look-ahead tile and the next are examined even without room, to know how many
+        // pages they need.
         while found.next < until && (self.hint(&mut found, here) || found.next <= next) {
             let Some(looked) = self.look(found.next, Edge::MOST, &mut found) else { return };
             found.take_in(looked);
@@ -173,12 +180,13 @@ impl<'a> Lookahead<'a> {
 
     /// Hints at the waiting pages; false if there was no room for some of them.
     fn hint(&self, found: &mut Found, here: u32) -> bool {
-        /// Hints may take one part in this many of the budget: more would leave too little for pages that later
-        /// look-ahead tiles use again.
+        /// Hints may take one part in this many of the budget: more would leave too little for
+        /// pages that later look-ahead tiles use again.
         const MOST_OF_BUDGET: u64 = 4;
         let spare = self.spare(found, here) * self.state.page_bytes;
         let most = self.pages.share_bytes() / MOST_OF_BUDGET;
-        // Where the tiles being traced need nearly all, what they need would give way, or the hinted pages before their use.
+        // Where the tiles being traced need nearly all, what they need would give way, or the
+        // hinted pages before their use.
         if spare < most {
             return false;
         }
@@ -214,8 +222,8 @@ impl<'a> Lookahead<'a> {
     pub(super) fn spare(&self, found: &mut Found, here: u32) -> u64 {
         let past = found.demands.iter().take_while(|&&(end, _)| end <= here).count();
         found.demands.drain(..past);
-        // The pages of one look-ahead tile are replaced gradually by those of the next, and threads may be in different
-        // ones.
+        // The pages of one look-ahead tile are replaced gradually by those of the next, and threads
+        // may be in different ones.
         let columns = found.demands.iter().take(self.state.threads).map(|&(_, pages)| pages);
         let budget = self.pages.share_bytes() / self.state.page_bytes;
         let needed = match found.demands.is_empty() {
@@ -229,8 +237,8 @@ impl<'a> Lookahead<'a> {
         spare
     }
 
-    /// Gives up the pages whose squares have passed once rays are at `here`, one square late because other threads may still
-    /// be there.
+    /// Gives up the pages whose squares have passed once rays are at `here`, one square late
+    /// because other threads may still be there.
     fn retire(&self, found: &mut Found, here: u32) {
         let order = &self.state.order;
         let square = order.begin_of_square(here, found.edge);
@@ -266,8 +274,8 @@ impl<'a> Lookahead<'a> {
         self.state.order.last_place(low, high)
     }
 
-    /// Lists the pages that a tile wants and those that follow it in its square; `None` if node pages were absent, which are then
-    /// hinted at.
+    /// Lists the pages that a tile wants and those that follow it in its square; `None` if node
+    /// pages were absent, which are then hinted at.
     pub(super) fn look(&self, at: u32, edge: Edge, found: &mut Found) -> Option<Looked> {
         let rays = self.rays_of(&self.state.order.pixels_of_square(at, edge));
         let mut looked = Looked::new(self.state.order.rest_of_square(at, edge));
@@ -344,7 +352,8 @@ impl<'a> Lookahead<'a> {
         }
     }
 
-    /// Hints at pages without which a square cannot be looked at, each once; returns whether any has gone again since.
+    /// Hints at pages without which a square cannot be looked at, each once; returns whether any
+    /// has gone again since.
     fn hint_once(&self, file: u32, mut absent: Vec<u32>, found: &mut Found) -> bool {
         let Some(object) = self.object(file) else { return false };
         let mut gone = false;

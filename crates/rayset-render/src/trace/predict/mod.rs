@@ -18,15 +18,17 @@ pub(super) use lookahead::LookaheadState;
 
 /// Turns known rays or past accesses into hints at pages.
 pub trait Predictor: Send + Sync {
-    /// Called by a thread that is about to trace the tile with index `tile` in the order of the work.
+    /// Called by a thread that is about to trace the tile with index `tile` in the order of the
+    /// work.
     fn ahead(&self, lookahead: Lookahead<'_>, tile: usize);
 
-    /// When a packet needs a page that is absent: the number of following slabs whose pages are requested in the same
-    /// batch, before the packet's tile is deferred until the missing page has been read. If 0, the packet waits for
-    /// each page when it needs it.
+    /// When a packet needs a page that is absent: the number of following slabs whose pages are
+    /// requested in the same batch, before the packet's tile is deferred until the missing page has
+    /// been read. If 0, the packet waits for each page when it needs it.
     fn slabs_on_a_miss(&self) -> u64;
 
-    /// Whether a packet requests, after each slab, the first absent page ahead on the line of its samples.
+    /// Whether a packet requests, after each slab, the first absent page ahead on the line of its
+    /// samples.
     fn follows_lines(&self) -> bool {
         false
     }
@@ -41,7 +43,8 @@ pub trait Predictor: Send + Sync {
 pub enum Prediction {
     /// No prediction: every page is read when it is needed.
     None,
-    /// The paper's predictor (its Algorithms 1 and 2), which looks ahead on the line of a packet's samples.
+    /// The paper's predictor (its Algorithms 1 and 2), which looks ahead on the line of a packet's
+    /// samples.
     Line,
     /// Walks the octree ahead of the rays of the next tiles, which are known.
     #[default]
@@ -80,9 +83,9 @@ impl Predictor for NoPredictor {
     }
 }
 
-/// The paper's predictor (its Algorithms 1 and 2), applied to packets: past samples define a line, which is followed
-/// through the nodes in memory; the first absent page on it is requested. The line of a packet is that of its middle
-/// ray.
+/// The paper's predictor (its Algorithms 1 and 2), applied to packets: past samples define a line,
+/// which is followed through the nodes in memory; the first absent page on it is requested. The
+/// line of a packet is that of its middle ray.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LinePredictor;
 
@@ -102,14 +105,17 @@ impl Predictor for LinePredictor {
     }
 }
 
-/// The rays of the next tiles are known: walks the octree ahead of them, one look-ahead tile at a time, and hints at
-/// the pages they are expected to need before they end. If a page is still absent, the packet that misses it requests
-/// the pages of its own next slabs, and its tile is deferred until the missing page has been read.
+/// The rays of the next tiles are known: walks the octree ahead of them, one look-ahead tile at a
+/// time, and hints at the pages they are expected to need before they end. If a page is still
+/// absent, the packet that misses it requests the pages of its own next slabs, and its tile is
+/// deferred until the missing page has been read.
 #[derive(Clone, Copy, Debug)]
 pub struct PacketPredictor {
-    /// Look-ahead tiles of 32×32 pixels examined at least ahead of the current one; 0 for the current one only.
+    /// Look-ahead tiles of 32×32 pixels examined at least ahead of the current one; 0 for the
+    /// current one only.
     pub tiles_ahead: u32,
-    /// Following slabs whose pages a packet requests with one it misses; 0 to wait for each page when it is needed.
+    /// Following slabs whose pages a packet requests with one it misses; 0 to wait for each page
+    /// when it is needed.
     pub slabs_on_a_miss: u64,
 }
 

@@ -1,12 +1,13 @@
-//! The order in which a render visits its picture: tiles, and the squares of tiles that are looked at together. A place is the index of
-//! a tile in this order.
+//! The order in which a render visits its picture: tiles, and the squares of tiles that are looked
+//! at together. A place is the index of a tile in this order.
 
 use std::ops::Range;
 use std::sync::Arc;
 
 use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region, Tile};
 
-/// Edge of the squares that the picture is divided into, in pixels: a power of two, at most that of look-ahead tiles.
+/// Edge of the squares that the picture is divided into, in pixels: a power of two, at most that of
+/// look-ahead tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Edge(u32);
 
@@ -95,7 +96,8 @@ impl Order {
         Region { columns: within(i, columns), rows: within(j, rows) }
     }
 
-    /// The last place whose look-ahead tile overlaps a rectangle of pixels; the rectangle may reach beyond the picture.
+    /// The last place whose look-ahead tile overlaps a rectangle of pixels; the rectangle may reach
+    /// beyond the picture.
     pub(super) fn last_place(&self, low: (f64, f64), high: (f64, f64)) -> u32 {
         let index = |v: f64, first: u32, count: u32| {
             (v / f64::from(LOOKAHEAD_TILE_PIXELS) - f64::from(first)).clamp(0.0, f64::from(count - 1)) as u32
@@ -111,7 +113,8 @@ impl Order {
 mod tests {
     use super::*;
 
-    /// Tiles of 8 × 8 pixels of a picture of 64 × 32, look-ahead tile by look-ahead tile, in each by quarters.
+    /// Tiles of 8 × 8 pixels of a picture of 64 × 32, look-ahead tile by look-ahead tile, in each
+    /// by quarters.
     fn order() -> Order {
         let mut tiles = Vec::new();
         for big in 0..2 {

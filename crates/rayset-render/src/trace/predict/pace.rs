@@ -1,4 +1,5 @@
-//! How far ahead pages must be asked for: as many as are used up during the time that one takes to come.
+//! How far ahead pages must be asked for: as many as are used up during the time that one takes to
+//! come.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -13,7 +14,8 @@ pub(super) struct Pace {
 }
 
 impl Pace {
-    /// As long as nothing has been measured: fast enough that the first pages are asked for in numbers.
+    /// As long as nothing has been measured: fast enough that the first pages are asked for in
+    /// numbers.
     const PAGES_PER_SECOND_AT_FIRST: f64 = 1000.0;
 
     /// A thread has traced for so long.

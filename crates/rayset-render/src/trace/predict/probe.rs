@@ -1,4 +1,5 @@
-//! Up to sixty-four probe rays that are traced ahead through node records only, each as far as it is expected to reach.
+//! Up to sixty-four probe rays that are traced ahead through node records only, each as far as it
+//! is expected to reach.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -39,21 +40,23 @@ impl Gap {
     }
 }
 
-/// Rays that are probed, in the space of one cloud. The length of a direction is that of a unit of world space, so that distances are in
-/// world space.
+/// Rays that are probed, in the space of one cloud. The length of a direction is that of a unit of
+/// world space, so that distances are in world space.
 pub(super) struct ProbeRays {
     rays: RayColumns,
     beam: Beam,
     gap: Gap,
     /// Distance at which each ray is expected to end.
     ends: [f32; LANES],
-    /// Distance at which the rays around each, up to the next ones of the lattice, are expected to have ended.
+    /// Distance at which the rays around each, up to the next ones of the lattice, are expected to
+    /// have ended.
     all_end: [f32; LANES],
     /// A factor on the optical depth with which rays are expected to have ended.
     reach: f32,
     /// Expected optical depth that each ray has accumulated.
     optical_depth: [f32; LANES],
-    /// Where rays have gone through boxes of points: the ray, and the distance of the middle. `None` if that is of no interest.
+    /// Where rays have gone through boxes of points: the ray, and the distance of the middle.
+    /// `None` if that is of no interest.
     met: Option<Vec<(usize, f32)>>,
 }
 
@@ -79,7 +82,8 @@ impl ProbeRays {
         }
     }
 
-    /// Lets them go on until so many times the optical depth with which they are expected to have ended.
+    /// Lets them go on until so many times the optical depth with which they are expected to have
+    /// ended.
     pub(super) fn reaching(mut self, reach: f32) -> Self {
         self.reach = reach;
         self
@@ -90,7 +94,8 @@ impl ProbeRays {
         self.met = Some(Vec::new());
     }
 
-    /// Where rays have gone through boxes of points, if that was noted: each ray, and the distance of the middle.
+    /// Where rays have gone through boxes of points, if that was noted: each ray, and the distance
+    /// of the middle.
     pub(super) fn take_met(&mut self) -> Vec<(usize, f32)> {
         self.met.take().unwrap_or_default()
     }
@@ -100,8 +105,9 @@ impl ProbeRays {
         self.beam.span(bounds).map(|(enter, _)| enter)
     }
 
-    /// Tests the rays against a box that they first meet at `distance`. Near are those from which rays within half the
-    /// gap may meet the box. Rays that are expected to end before it are left out.
+    /// Tests the rays against a box that they first meet at `distance`. Near are those from which
+    /// rays within half the gap may meet the box. Rays that are expected to end before it are left
+    /// out.
     fn cross(&self, bounds: &Aabb, distance: f64) -> Crossing {
         let mut crossing = self.rays.cross(bounds, self.gap.at(distance));
         let mut before_their_ends = 0;
@@ -113,7 +119,8 @@ impl ProbeRays {
         crossing
     }
 
-    /// Advances rays through a box of points; those that are then expected to be opaque end behind it.
+    /// Advances rays through a box of points; those that are then expected to be opaque end behind
+    /// it.
     fn absorb(&mut self, crossing: &Crossing, extinction: f64, expected: &Expected) {
         let opaque_optical_depth = expected.opaque_optical_depth * self.reach;
         let (mut lanes, mut ended) = (crossing.through, false);
@@ -134,8 +141,8 @@ impl ProbeRays {
         }
     }
 
-    /// Updates where all rays around each have ended. Rays between those of the lattice may pass an edge that these meet: with
-    /// `careful`, each goes on as far as any of its neighbours.
+    /// Updates where all rays around each have ended. Rays between those of the lattice may pass an
+    /// edge that these meet: with `careful`, each goes on as far as any of its neighbours.
     fn end_all(&mut self, careful: bool) {
         if !careful {
             self.all_end = self.ends;
@@ -150,7 +157,8 @@ impl ProbeRays {
         }
     }
 
-    /// Calls `want`, nearest first, with the nodes that the rays are expected to reach, as far as nodes are in memory.
+    /// Calls `want`, nearest first, with the nodes that the rays are expected to reach, as far as
+    /// nodes are in memory.
     pub(super) fn explore(
         &mut self,
         nodes: &mut NodesInMemory<'_>,
@@ -242,8 +250,8 @@ pub(super) struct Expected {
 }
 
 impl Expected {
-    /// The effect with a safety factor on the optical depth: densities vary, and a page that is read in vain costs less than one
-    /// that has to be waited for, the more so if it is far away.
+    /// The effect with a safety factor on the optical depth: densities vary, and a page that is
+    /// read in vain costs less than one that has to be waited for, the more so if it is far away.
     pub(super) fn new(shading: &CloudShading, stop_transmittance: f32, far: bool) -> Self {
         const MARGIN: f32 = 1.2;
         const MARGIN_FAR: f32 = 1.5;
@@ -258,8 +266,8 @@ impl Expected {
         }
     }
 
-    /// Extinction, per unit of world space, of the mean density of all points below a node, averaged over their bounds
-    /// of influence.
+    /// Extinction, per unit of world space, of the mean density of all points below a node,
+    /// averaged over their bounds of influence.
     fn extinction(&self, node: &Node, bounds: &Aabb) -> f64 {
         let radius = (f64::from(node.radius_min) * f64::from(node.radius_max)).sqrt();
         let point = if self.normalised { 1.0 } else { self.point_integral * radius.powi(3) };

@@ -1,8 +1,10 @@
-//! Looking ahead in files that are far away: pages are asked for as early as there is room for them, and stay until rays have passed.
+//! Looking ahead in files that are far away: pages are asked for as early as there is room for
+//! them, and stay until rays have passed.
 //!
-//! The window reaches from the first tile that is not finished to the last one whose pages have been asked for. All pages
-//! that its tiles want stay in memory together, so that each is read once for all of them; its length is limited by their
-//! number, and by what rays use up while a page is on its way. Where there is little room, it goes on in smaller squares.
+//! The window reaches from the first tile that is not finished to the last one whose pages have
+//! been asked for. All pages that its tiles want stay in memory together, so that each is read once
+//! for all of them; its length is limited by their number, and by what rays use up while a page is
+//! on its way. Where there is little room, it goes on in smaller squares.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -10,17 +12,21 @@ use std::time::Duration;
 use super::found::{Found, PageId};
 use super::lookahead::Lookahead;
 
-/// So many pages are left to what nobody expected: measured, with fewer they evict each other before their tiles are traced again.
+/// So many pages are left to what nobody expected: measured, with fewer they evict each other
+/// before their tiles are traced again.
 const LEAST_RESERVE: u64 = 28;
 /// At least one part in this many of the budget.
 const RESERVE: u64 = 8;
 /// And at most one part in this many.
 const MOST_RESERVE: u64 = 4;
-/// It is filled in bursts of one part in this many: of few pages at a time, few would be neighbours that a request can join.
+/// It is filled in bursts of one part in this many: of few pages at a time, few would be neighbours
+/// that a request can join.
 const BURSTS: u64 = 4;
-/// Node pages are read at once, before anything else, if they take at most one part in this many of the budget.
+/// Node pages are read at once, before anything else, if they take at most one part in this many of
+/// the budget.
 const NODES: u64 = 3;
-/// A square may add at most one part in this many to what the window may take; otherwise smaller ones are examined.
+/// A square may add at most one part in this many to what the window may take; otherwise smaller
+/// ones are examined.
 const PARTS: u64 = 4;
 /// If it adds less than one part in this many, larger ones are examined.
 const SMALL_PARTS: u64 = 32;
@@ -30,7 +36,8 @@ const MARGIN: u64 = 2;
 const LEAST_AHEAD: u64 = 64;
 
 impl Lookahead<'_> {
-    /// Examines further look-ahead tiles as far as there is room for their pages, and hints at them.
+    /// Examines further look-ahead tiles as far as there is room for their pages, and hints at
+    /// them.
     pub(super) fn fill_window(&self, found: &mut Found, here: u32) {
         let state = self.state;
         if !found.begun {
@@ -64,8 +71,9 @@ impl Lookahead<'_> {
         pages - LEAST_RESERVE.max(pages / RESERVE).min(pages / MOST_RESERVE)
     }
 
-    /// Examines one more square; returns whether the window has room for it, and now reaches to its end. The tiles that are about to
-    /// be traced are taken in without room, as far as rays reach with what there is.
+    /// Examines one more square; returns whether the window has room for it, and now reaches to its
+    /// end. The tiles that are about to be traced are taken in without room, as far as rays reach
+    /// with what there is.
     fn widen(&self, found: &mut Found, here: u32, room: u64) -> bool {
         let looked = loop {
             let put_off = found.put_off.take().filter(|looked| looked.places.start == found.next);
@@ -119,8 +127,9 @@ impl Lookahead<'_> {
         self.object(file).is_some_and(|object| self.pages.let_go(object, page))
     }
 
-    /// Asks for all node pages of far clouds, if they are few, and for all ranges of bricks of far grids likewise, and keeps them as long as
-    /// the picture is made: walking down the octree page by page would take a round trip for each level.
+    /// Asks for all node pages of far clouds, if they are few, and for all ranges of bricks of far
+    /// grids likewise, and keeps them as long as the picture is made: walking down the octree page
+    /// by page would take a round trip for each level.
     fn bring_nodes(&self, found: &mut Found) {
         let (foresight, program) = (&self.world.foresight, &self.world.program);
         let clouds = foresight.clouds(program).map(|(cloud, file, _)| (file, cloud.first_node_page));

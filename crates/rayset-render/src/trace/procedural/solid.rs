@@ -12,7 +12,8 @@ use crate::trace::node_samples::{MAX_OPTICAL_DEPTH, Measure, NodeSamples, Requir
 use rayset_base::geometry::DVec3;
 
 impl ProceduralVolume {
-    /// Fills some samples of one ray through a solid. Returns the sum of their optical depths, or 0 if opacities are requested.
+    /// Fills some samples of one ray through a solid. Returns the sum of their optical depths, or 0
+    /// if opacities are requested.
     #[inline(always)]
     pub(super) fn fill_solid<S: Simd>(
         &self,

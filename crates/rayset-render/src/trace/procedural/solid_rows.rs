@@ -1,4 +1,5 @@
-//! Solids at eight places at a time: the same numbers, bit for bit, as [`Solid`] gives for one place.
+//! Solids at eight places at a time: the same numbers, bit for bit, as [`Solid`] gives for one
+//! place.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f64x8};
@@ -79,7 +80,8 @@ pub(super) fn length<S: Simd>([x, y, z]: Vectors<S>) -> f64x8<S> {
     (x * x + y * y + z * z).sqrt()
 }
 
-/// Distance from a sphere around the origin, and its gradient; `at_centre` is the gradient where there is none.
+/// Distance from a sphere around the origin, and its gradient; `at_centre` is the gradient where
+/// there is none.
 #[inline(always)]
 fn from_sphere<S: Simd>(simd: S, p: Vectors<S>, radius: f64, at_centre: DVec3) -> (f64x8<S>, Vectors<S>) {
     let splat = |v| f64x8::splat(simd, v);
@@ -116,7 +118,8 @@ fn from_box<S: Simd>(simd: S, p: Vectors<S>, half: DVec3) -> (f64x8<S>, Vectors<
     (distance, gradient)
 }
 
-/// Signed distance to a rectangle with half sizes `a` and `b` centred at the origin, and its gradient.
+/// Signed distance to a rectangle with half sizes `a` and `b` centred at the origin, and its
+/// gradient.
 #[inline(always)]
 fn from_rectangle<S: Simd>(simd: S, x: f64x8<S>, y: f64x8<S>, a: f64, b: f64) -> (f64x8<S>, [f64x8<S>; 2]) {
     let splat = |v| f64x8::splat(simd, v);

@@ -20,8 +20,8 @@ pub(in crate::trace) struct ProceduralMarch {
 impl ProceduralMarch {
     pub(in crate::trace) const BYTES: usize = size_of::<Self>();
 
-    /// The samples of a ray that may be in the field, counted from the first of a slab: the first, and the one after the
-    /// last.
+    /// The samples of a ray that may be in the field, counted from the first of a slab: the first,
+    /// and the one after the last.
     #[inline(always)]
     fn within(&self, lane: usize, slab: Slab) -> (usize, usize) {
         let (first, end) = self.within[lane];
@@ -52,10 +52,12 @@ pub(in crate::trace) struct ProceduralVolume {
     /// Transforms gradients from local space to world space.
     pub(super) world_gradient: DMat3,
     bounds_local: Aabb,
-    /// How far outside the bounds the field is sampled if its boundary is required there; local space.
+    /// How far outside the bounds the field is sampled if its boundary is required there; local
+    /// space.
     reach_local: f64,
     pub(in crate::trace) material: [f32; MATERIAL],
-    /// For each of the program's attributes, its index among those of the field, if the field has it.
+    /// For each of the program's attributes, its index among those of the field, if the field has
+    /// it.
     pub(super) named: Vec<Option<usize>>,
 }
 
@@ -163,7 +165,8 @@ impl ProceduralVolume {
         }
     }
 
-    /// Fills some samples of one ray. Returns the sum of their optical depths, or 0 if opacities are requested.
+    /// Fills some samples of one ray. Returns the sum of their optical depths, or 0 if opacities
+    /// are requested.
     fn fill(&self, asked: &ProceduralRequest<'_>, eight: &Eight<'_>, out: &mut NodeSamples) -> f32 {
         let ProceduralRequest { packet, slab, measure, required, .. } = *asked;
         let Eight { lane, block, samples: bits, ray } = *eight;

@@ -1,4 +1,5 @@
-//! Grids by the formulas: trilinear values and central differences, or the labels that weigh most, in `f64`.
+//! Grids by the formulas: trilinear values and central differences, or the labels that weigh most,
+//! in `f64`.
 
 use super::{NOTHING, ReferenceRenderer, Sample, SeenNode, maps, surface};
 use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject};
@@ -19,7 +20,8 @@ impl Voxels<'_> {
         self.header.value(f64::from(self.stored[at as usize]))
     }
 
-    /// The corners of the cell of a place, moved by `shift`, each with the trilinear weight that it has at the place.
+    /// The corners of the cell of a place, moved by `shift`, each with the trilinear weight that it
+    /// has at the place.
     fn corners(&self, p: DVec3, shift: DVec3) -> [(f64, f64); 8] {
         let cell = p.floor().min(self.header.last_voxel() - 1.0);
         std::array::from_fn(|corner| {
@@ -33,7 +35,8 @@ impl Voxels<'_> {
         })
     }
 
-    /// The trilinear mean of a quantity of values at a place, and half its difference a voxel to either side.
+    /// The trilinear mean of a quantity of values at a place, and half its difference a voxel to
+    /// either side.
     fn mean_and_gradient(&self, p: DVec3, quantity: impl Fn(f64) -> f64) -> (f64, DVec3) {
         let mean = |shift| {
             self.corners(p, shift).into_iter().map(|(weight, value)| weight * quantity(value)).sum::<f64>()

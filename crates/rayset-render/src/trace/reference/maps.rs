@@ -11,8 +11,8 @@ pub(super) fn color(map: &ColorMap, value: f64) -> [f64; 3] {
     encoded.map(|v| if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) })
 }
 
-/// Linear interpolation at `x` between stops in ascending order of places: between the last stop at or before `x` and
-/// the first one after it.
+/// Linear interpolation at `x` between stops in ascending order of places: between the last stop at
+/// or before `x` and the first one after it.
 pub(super) fn line<T, const N: usize>(stops: &[(f64, T)], x: f64, of: impl Fn(&T) -> [f64; N]) -> [f64; N] {
     let before = stops.iter().rev().find(|(at, _)| *at <= x);
     let behind = stops.iter().find(|(at, _)| *at > x);

@@ -1,7 +1,8 @@
-//! The reference renderer: the same rays, samples, operators and lighting as the ray tracer, one sample at a time, over
-//! brute-force fields in `f64`. It is slow by design and shares no code with the ray tracer except the scene
-//! description and the closed forms of procedural fields. The step is a parameter. The fields of clouds may be supplied
-//! from outside; the renderer is then the discrete ray tracer with which samples of another engine are compared.
+//! The reference renderer: the same rays, samples, operators and lighting as the ray tracer, one
+//! sample at a time, over brute-force fields in `f64`. It is slow by design and shares no code with
+//! the ray tracer except the scene description and the closed forms of procedural fields. The step
+//! is a parameter. The fields of clouds may be supplied from outside; the renderer is then the
+//! discrete ray tracer with which samples of another engine are compared.
 
 mod grid;
 mod maps;
@@ -37,8 +38,9 @@ pub trait PointField {
     /// Announces a ray, in the cloud's space; the samples on it follow in this order.
     fn ray(&self, _ray: &Ray, _purpose: Purpose) {}
 
-    /// The field at a position in the cloud's space. Attributes are those of all columns of the cloud's file, colours
-    /// first, numbered as by [`AttributeColumns`]; empty if no point reaches the position.
+    /// The field at a position in the cloud's space. Attributes are those of all columns of the
+    /// cloud's file, colours first, numbered as by [`AttributeColumns`]; empty if no point reaches
+    /// the position.
     fn sample(&self, q: DVec3, purpose: Purpose) -> ReferenceSample;
 }
 
@@ -172,7 +174,8 @@ impl<'a> ReferenceRenderer<'a> {
         }
     }
 
-    /// Sum of the shading vectors of a ray's samples, weighted by their contribution to the ray; not normalised.
+    /// Sum of the shading vectors of a ray's samples, weighted by their contribution to the ray;
+    /// not normalised.
     ///
     /// # Errors
     /// [`CameraError`] if the camera is invalid.
@@ -200,8 +203,8 @@ impl<'a> ReferenceRenderer<'a> {
         Ok(sum)
     }
 
-    /// Visits every sample of a ray before `end` that is not transparent, front to back; returns the remaining
-    /// transmittance.
+    /// Visits every sample of a ray before `end` that is not transparent, front to back; returns
+    /// the remaining transmittance.
     fn march(
         &self,
         settings: &RenderSettings,
@@ -432,7 +435,8 @@ impl<'a> ReferenceRenderer<'a> {
     }
 }
 
-/// Normal and signed distance of a boundary in world space, from the implicit function and its gradient in local space.
+/// Normal and signed distance of a boundary in world space, from the implicit function and its
+/// gradient in local space.
 fn surface(node: &SeenNode<'_>, implicit: f64, gradient: DVec3) -> (DVec3, f64) {
     let to_world: DMat3 = node.local_from_world.matrix3.transpose();
     let gradient = to_world * gradient;

@@ -1,7 +1,7 @@
 //! The rule by which samples share shadows.
 
-/// Samples of a ray that share the shadows of one of them: of eight in a row by their numbers, those behind one that has
-/// shadows of its own, as long as they are at most 1/64 of the ray.
+/// Samples of a ray that share the shadows of one of them: of eight in a row by their numbers,
+/// those behind one that has shadows of its own, as long as they are at most 1/64 of the ray.
 #[derive(Default)]
 pub(super) struct SharedShadows {
     run: Option<u64>,

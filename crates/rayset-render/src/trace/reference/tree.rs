@@ -62,7 +62,8 @@ impl ReferenceRenderer<'_> {
         })
     }
 
-    /// The light of a ray and of all rays that follow from it, and the fraction of the background that is visible.
+    /// The light of a ray and of all rays that follow from it, and the fraction of the background
+    /// that is visible.
     pub(super) fn follow(
         &self,
         settings: &RenderSettings,
@@ -79,7 +80,8 @@ impl ReferenceRenderer<'_> {
         let mut mirror: Option<Mirror> = None;
         let mut shadows = SharedShadows::default();
         let mut index = course.index;
-        // For the last sample inside: distance along the ray, normal, distance to the boundary, reflectance.
+        // For the last sample inside: distance along the ray, normal, distance to the boundary,
+        // reflectance.
         let mut inside = (0.0, course.normal, 0.0, 0.0);
         // One sample more after the last, in empty space.
         let samples: Vec<f64> = self.lattice(ray, sample_offset, step).collect();

@@ -25,8 +25,9 @@ pub(in crate::trace) struct RaysToLight {
 }
 
 impl ShadowWorld {
-    /// The rays that shadows at some places are expected to need: those of tiles that have not been made and are not `known`, or, of lights
-    /// without a table, rays from the places, or from some of them if they are many.
+    /// The rays that shadows at some places are expected to need: those of tiles that have not been
+    /// made and are not `known`, or, of lights without a table, rays from the places, or from some
+    /// of them if they are many.
     pub(in crate::trace) fn rays_ahead(
         &self,
         places: &[LitPlace],

@@ -1,14 +1,17 @@
-//! Shadows from deep shadow maps, which are traced from the light. Each tile of a map is a pure function of scene,
-//! light and tile; it is computed when first needed, evicted like any page, and recomputed to the same bits.
+//! Shadows from deep shadow maps, which are traced from the light. Each tile of a map is a pure
+//! function of scene, light and tile; it is computed when first needed, evicted like any page, and
+//! recomputed to the same bits.
 //!
-//! A map has levels, each of half as many rays along a side as the one before. A sample is looked up in the coarsest whose
-//! cells are at most an eighth as wide as the sample's pixel: a function of view and sample. So a picture costs shadows by its
-//! pixels, and a level that several views need is computed once.
+//! A map has levels, each of half as many rays along a side as the one before. A sample is looked
+//! up in the coarsest whose cells are at most an eighth as wide as the sample's pixel: a function
+//! of view and sample. So a picture costs shadows by its pixels, and a level that several views
+//! need is computed once.
 //!
-//! Between its rays a map can only interpolate: it resolves shadow edges to one cell. If the rays around a sample
-//! differ so much that the difference would be visible in its pixel, the sample gets a shadow ray of its own; where
-//! shadows are larger than cells these are a small fraction of all samples. The decision is a function of sample and
-//! tile only, so it does not depend on execution settings.
+//! Between its rays a map can only interpolate: it resolves shadow edges to one cell. If the rays
+//! around a sample differ so much that the difference would be visible in its pixel, the sample
+//! gets a shadow ray of its own; where shadows are larger than cells these are a small fraction of
+//! all samples. The decision is a function of sample and tile only, so it does not depend on
+//! execution settings.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -39,7 +42,8 @@ pub(super) struct DeepShadowLookups<'a> {
     maker: TileMaker<'a>,
     /// Of the rays of a packet.
     footprints: [Footprint; LANES],
-    /// Tiles of the tables of lights, by their objects, that a packet lacks and whose rays have been asked for.
+    /// Tiles of the tables of lights, by their objects, that a packet lacks and whose rays have
+    /// been asked for.
     asked: BTreeSet<(usize, u32)>,
 }
 
@@ -61,8 +65,9 @@ impl<'a> DeepShadowLookups<'a> {
         self.footprints.iter_mut().zip(footprints).for_each(|(own, of_ray)| *own = of_ray);
     }
 
-    /// Fills the rows of the samples that are wanted, a bit for each. Returns a bit for each sample that the map does not decide, because
-    /// the rays around it differ: the edge of a shadow passes between them.
+    /// Fills the rows of the samples that are wanted, a bit for each. Returns a bit for each sample
+    /// that the map does not decide, because the rays around it differ: the edge of a shadow passes
+    /// between them.
     #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
     pub(super) fn find(
         &mut self,
@@ -100,7 +105,8 @@ impl<'a> DeepShadowLookups<'a> {
                     {
                         continue;
                     }
-                    // Whoever comes first makes the tile: what it takes is of no pixel in particular.
+                    // Whoever comes first makes the tile: what it takes is of no pixel in
+                    // particular.
                     let asked_bytes = access.asked_bytes.get();
                     let compute =
                         |bytes: &mut [u8]| self.maker.make(access, table, texel.tile, bytes, counts);
@@ -120,11 +126,11 @@ impl<'a> DeepShadowLookups<'a> {
     }
 }
 
-/// Largest difference that the rays around a sample may make to its pixel, as a fraction of the light's largest
-/// contribution.
+/// Largest difference that the rays around a sample may make to its pixel, as a fraction of the
+/// light's largest contribution.
 pub(super) const LARGEST_DOUBT: f32 = 1.0 / 64.0;
-/// A boundary is extrapolated as a plane up to this slope against the plane across the light's rays; steeper slopes are
-/// clamped.
+/// A boundary is extrapolated as a plane up to this slope against the plane across the light's
+/// rays; steeper slopes are clamped.
 const STEEPEST: f64 = 8.0;
 
 /// Parameters of a sample's look-up.
@@ -138,10 +144,10 @@ struct Lookup {
 }
 
 impl Lookup {
-    /// Like an exact shadow ray, the look-up ignores what lies within the sample offset of the sample. At a boundary,
-    /// each ray is looked up where it meets the boundary's tangent plane, so that all rays are equally far in front of
-    /// the boundary and it does not shadow itself. The distance is reduced by half a cell, in case the boundary is
-    /// nearer than its tangent plane.
+    /// Like an exact shadow ray, the look-up ignores what lies within the sample offset of the
+    /// sample. At a boundary, each ray is looked up where it meets the boundary's tangent plane, so
+    /// that all rays are equally far in front of the boundary and it does not shadow itself. The
+    /// distance is reduced by half a cell, in case the boundary is nearer than its tangent plane.
     #[inline(always)]
     fn new(
         light: &LightWithShadows,
@@ -209,7 +215,8 @@ struct TileMaker<'a> {
 }
 
 impl TileMaker<'_> {
-    /// Whether a tile is not there and cannot be made in this attempt; asks for the pages that its rays are expected to need.
+    /// Whether a tile is not there and cannot be made in this attempt; asks for the pages that its
+    /// rays are expected to need.
     fn lacks(
         &self,
         access: Access<'_>,
@@ -290,8 +297,8 @@ impl SlabVisitor for CurveTracing<'_> {
 }
 
 impl CurveTracing<'_> {
-    /// Appends the samples of a slab to the curve of a ray. Each sample absorbs its light over one step, centred at the
-    /// sample.
+    /// Appends the samples of a slab to the curve of a ray. Each sample absorbs its light over one
+    /// step, centred at the sample.
     fn extend(&mut self, slab: Slab, lane: usize, before: f32) {
         let (packet, curve) = (self.packet, self.members[lane]);
         let (mut left, step) = (before, packet.step_world());
@@ -301,7 +308,8 @@ impl CurveTracing<'_> {
             samples &= samples - 1;
             let t = packet.sample_t_world(lane, slab.first + j as u64);
             let (near, far) = ((t - 0.5 * step) as f32, (t + 0.5 * step) as f32);
-            // If the ray has crossed empty space, the transmittance has not changed since the last knot.
+            // If the ray has crossed empty space, the transmittance has not changed since the last
+            // knot.
             if self.curves.last(curve).is_none_or(|x| x < near) {
                 self.curves.push(curve, (near, left));
             }

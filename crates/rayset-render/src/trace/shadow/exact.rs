@@ -1,5 +1,6 @@
-//! Shadow rays from samples to lights. Traced for every contributing sample, they are the reference, for small
-//! pictures; with deep shadow maps, they decide the samples that the maps cannot.
+//! Shadow rays from samples to lights. Traced for every contributing sample, they are the
+//! reference, for small pictures; with deep shadow maps, they decide the samples that the maps
+//! cannot.
 
 use super::place::{lit_place, toward};
 use super::world::ShadowWorld;
@@ -45,8 +46,8 @@ impl<'a> ShadowRays<'a> {
         }
     }
 
-    /// Fills the rows of some samples, a bit for each: sample after sample, each on all rays, so that a packet of shadow rays
-    /// has origins at about the same depth.
+    /// Fills the rows of some samples, a bit for each: sample after sample, each on all rays, so
+    /// that a packet of shadow rays has origins at about the same depth.
     #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
     pub(super) fn find(
         &mut self,
@@ -95,7 +96,8 @@ impl<'a> ShadowRays<'a> {
         self.world.foresight.ask(&self.world.program, access, rays.chunks(LANES));
     }
 
-    /// Traces at most one packet of rays. Each result is the same, bit for bit, as if the ray were traced alone.
+    /// Traces at most one packet of rays. Each result is the same, bit for bit, as if the ray were
+    /// traced alone.
     fn trace_all(
         &mut self,
         access: Access<'_>,
@@ -119,8 +121,8 @@ impl<'a> ShadowRays<'a> {
         Ok(())
     }
 
-    /// Leaves the transmittance of each ray in its state. A ray's first sample is (½ + offset) steps from its start, so
-    /// that no sample shadows itself.
+    /// Leaves the transmittance of each ray in its state. A ray's first sample is (½ + offset)
+    /// steps from its start, so that no sample shadows itself.
     fn trace(
         &mut self,
         access: Access<'_>,
@@ -196,7 +198,8 @@ fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], node: &mut NodeSamples) 
     }
 }
 
-/// The lanes and numbers of the samples of a slab whose bits are set: sample after sample, each on all rays.
+/// The lanes and numbers of the samples of a slab whose bits are set: sample after sample, each on
+/// all rays.
 fn lit<'s>(
     packet: &Packet,
     slab: Slab,

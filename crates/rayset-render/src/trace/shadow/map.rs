@@ -43,11 +43,12 @@ struct Face {
     forward: DVec3,
     right: DVec3,
     up: DVec3,
-    /// Half the side of the square: on the plane at distance 1 for a point light, in world units for parallel rays.
+    /// Half the side of the square: on the plane at distance 1 for a point light, in world units
+    /// for parallel rays.
     half: f64,
     diverges: bool,
-    /// Of parallel rays: for each coordinate in cells, columns and rows, the vector to multiply a position by and what to
-    /// add; then the distance along the rays likewise.
+    /// Of parallel rays: for each coordinate in cells, columns and rows, the vector to multiply a
+    /// position by and what to add; then the distance along the rays likewise.
     parallel: [(DVec3, f64); 3],
 }
 
@@ -66,7 +67,8 @@ pub(super) struct Texel {
 }
 
 impl LightMap {
-    /// The map of a light over the bounds of a scene, with `resolution` cells along a side in its finest level; `None` if the scene is empty or the light has no rays.
+    /// The map of a light over the bounds of a scene, with `resolution` cells along a side in its
+    /// finest level; `None` if the scene is empty or the light has no rays.
     pub(super) fn new(light: &Light, bounds: &Aabb, resolution: u32) -> Option<Self> {
         if bounds.is_empty() {
             return None;
@@ -120,7 +122,8 @@ impl LightMap {
         (0..corners * corners).map(|i| face.ray(place(bx, i % corners), place(by, i / corners))).collect()
     }
 
-    /// Projects a position, seen by a pixel of a given width there, world space; `None` if it is outside the map.
+    /// Projects a position, seen by a pixel of a given width there, world space; `None` if it is
+    /// outside the map.
     #[inline(always)]
     pub(super) fn texel(&self, place: DVec3, pixel_width: f64) -> Option<Texel> {
         let resolution = f64::from(self.levels[0].resolution);
@@ -190,8 +193,8 @@ impl Face {
         self.parallel = [along(self.right), along(self.up), (self.forward, -self.origin.dot(self.forward))];
     }
 
-    /// Position on the face in cells, 0 to `resolution`, distance along the ray, and depth (1 for parallel rays); `None`
-    /// if it is outside the face.
+    /// Position on the face in cells, 0 to `resolution`, distance along the ray, and depth (1 for
+    /// parallel rays); `None` if it is outside the face.
     #[inline(always)]
     fn project(&self, place: DVec3, resolution: f64) -> Option<(f64, f64, f64, f64)> {
         if !self.diverges {

@@ -1,5 +1,6 @@
-//! How much of each light reaches each sample: by shadow rays from the samples (`exact`) or from deep shadow maps
-//! (`table`, looked up and computed in `cached`), depending on the settings (`shadows`).
+//! How much of each light reaches each sample: by shadow rays from the samples (`exact`) or from
+//! deep shadow maps (`table`, looked up and computed in `cached`), depending on the settings
+//! (`shadows`).
 
 mod ahead;
 mod cached;

@@ -5,7 +5,8 @@ use crate::scene::{Light, LightKind};
 use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY};
 use rayset_base::geometry::DVec3;
 
-/// The position at which a sample is lit: on the boundary if it is just behind one, otherwise its own.
+/// The position at which a sample is lit: on the boundary if it is just behind one, otherwise its
+/// own.
 #[inline(always)]
 pub(super) fn lit_place(packet: &Packet, node: &NodeSamples, lane: usize, sample: u64, j: usize) -> DVec3 {
     let place = packet.ray(lane).at(packet.sample_t_world(lane, sample));
@@ -16,8 +17,8 @@ pub(super) fn lit_place(packet: &Packet, node: &NodeSamples, lane: usize, sample
     place + node.normal_at(lane, j) * depth
 }
 
-/// Direction and distance from a position to a light; the distance is infinite for directional lights. `None` for
-/// lights without shadow rays, or if the position is that of the light.
+/// Direction and distance from a position to a light; the distance is infinite for directional
+/// lights. `None` for lights without shadow rays, or if the position is that of the light.
 pub(super) fn toward(light: &Light, place: DVec3) -> Option<(DVec3, f64)> {
     match light.kind {
         LightKind::Directional { direction } => Some((-direction.normalize(), f64::INFINITY)),

@@ -1,9 +1,10 @@
-//! Samples that share a shadow: where a ray passes through next to nothing, what reaches one of its samples reaches the
-//! next ones too, and a shadow need not be computed for each.
+//! Samples that share a shadow: where a ray passes through next to nothing, what reaches one of its
+//! samples reaches the next ones too, and a shadow need not be computed for each.
 //!
-//! The samples of a ray are divided into runs of eight, by their numbers. Within a run, samples take the shadow of the
-//! last one before them for which it was computed, as long as those that do so are at most [`LARGEST_SHARE`] of their
-//! ray. This is a function of the ray alone: neither slabs nor packets change it.
+//! The samples of a ray are divided into runs of eight, by their numbers. Within a run, samples
+//! take the shadow of the last one before them for which it was computed, as long as those that do
+//! so are at most [`LARGEST_SHARE`] of their ray. This is a function of the ray alone: neither
+//! slabs nor packets change it.
 
 use super::cached::LARGEST_DOUBT;
 use crate::field::{LANES, SampleRow, Slab};
@@ -51,7 +52,8 @@ impl SharedShadows {
         self.rays.fill(LastShadow { run: NONE, left: 0.0 });
     }
 
-    /// Decides for each contributing sample of a slab, front to back, whether its shadow has to be computed.
+    /// Decides for each contributing sample of a slab, front to back, whether its shadow has to be
+    /// computed.
     pub(super) fn choose(&mut self, slab: Slab, shares: &Shares) {
         (self.computed, self.taken) = ([0; LANES], [0; LANES]);
         each_lane(shares.lanes(), |lane| {
@@ -73,7 +75,8 @@ impl SharedShadows {
         });
     }
 
-    /// Gives the samples that take a light's shadow from one before them what was computed for that one.
+    /// Gives the samples that take a light's shadow from one before them what was computed for that
+    /// one.
     pub(super) fn spread(&mut self, light: usize, rows: &mut [SampleRow]) {
         let lanes = (0..LANES).filter(|&lane| self.computed[lane] | self.taken[lane] != 0);
         for lane in lanes {

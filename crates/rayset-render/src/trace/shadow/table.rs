@@ -32,7 +32,8 @@ impl DeepShadowMap {
             .sum()
     }
 
-    /// The map of a light that casts shadows; `None` if the scene is empty or the light has no rays.
+    /// The map of a light that casts shadows; `None` if the scene is empty or the light has no
+    /// rays.
     pub(in crate::trace) fn new(
         light: &Light,
         bounds: &Aabb,

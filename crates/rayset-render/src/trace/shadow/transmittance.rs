@@ -1,5 +1,5 @@
-//! Transmittance along a ray as a piecewise linear curve (after Lokovic & Veach, *Deep Shadow Maps*, 2000), and the
-//! layout of a tile's curves in a page.
+//! Transmittance along a ray as a piecewise linear curve (after Lokovic & Veach, *Deep Shadow
+//! Maps*, 2000), and the layout of a tile's curves in a page.
 
 /// A knot of a curve: distance and transmittance.
 pub(super) type Knot = (f32, f32);
@@ -9,8 +9,9 @@ const TOLERANCE: f32 = 1.0 / 1024.0;
 /// Knots of a tile in the making, over all its curves: four times what a page has room for.
 const MOST_KNOTS: usize = 8192;
 
-/// The curves of a tile in the making, in memory of a fixed size. Each keeps only the points without which its error
-/// would exceed the tolerance; if the knots of all curves are too many, the tolerance is doubled for all of them.
+/// The curves of a tile in the making, in memory of a fixed size. Each keeps only the points
+/// without which its error would exceed the tolerance; if the knots of all curves are too many, the
+/// tolerance is doubled for all of them.
 #[derive(Clone, Debug)]
 pub(super) struct TransmittanceCurves {
     tolerance: f32,
@@ -26,7 +27,8 @@ struct Curve {
     /// Numbers of the first and the last knot.
     ends: Option<(u16, u16)>,
     count: u16,
-    /// The latest point after the last knot, and the range of slopes that fit all points since that knot.
+    /// The latest point after the last knot, and the range of slopes that fit all points since that
+    /// knot.
     pending: Option<(Knot, f32, f32)>,
 }
 
@@ -36,7 +38,8 @@ struct KnotLists(Vec<(Knot, u16)>);
 
 impl KnotLists {
     fn new() -> Self {
-        // What a full list needs besides its limit: every curve's pending point when the tile is finished.
+        // What a full list needs besides its limit: every curve's pending point when the tile is
+        // finished.
         Self(Vec::with_capacity(MOST_KNOTS + MOST_CURVES))
     }
 
@@ -149,8 +152,8 @@ impl TransmittanceCurves {
         }
     }
 
-    /// Completes the curves and writes them into the page of their tile. If they do not fit, all are simplified with a
-    /// larger tolerance.
+    /// Completes the curves and writes them into the page of their tile. If they do not fit, all
+    /// are simplified with a larger tolerance.
     pub(super) fn encode(&mut self, page: &mut [u8]) {
         let room = (page.len() - self.curves.len() * HEAD_BYTES) / KNOT_BYTES;
         self.finish();

@@ -33,7 +33,8 @@ pub(in crate::trace) struct ShadowWorld {
 }
 
 impl ShadowWorld {
-    /// `None` if no light casts shadows. Step rule and absorption are those of the rays from the eye.
+    /// `None` if no light casts shadows. Step rule and absorption are those of the rays from the
+    /// eye.
     pub(in crate::trace) fn compile(
         scene: &Scene,
         settings: &RenderSettings,

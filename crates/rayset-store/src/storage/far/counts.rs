@@ -16,7 +16,8 @@ pub struct FarCounts {
     pub bytes: u64,
     /// Requests that failed or were refused, and were tried again.
     pub retries: u64,
-    /// The usual time from a request to its last byte: a moving average. Zero as long as none has ended.
+    /// The usual time from a request to its last byte: a moving average. Zero as long as none has
+    /// ended.
     pub latency: Duration,
 }
 
@@ -45,7 +46,8 @@ impl Counts {
         self.retries.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// A request took so long. Of two that are counted at once one may be lost, which an average does not notice.
+    /// A request took so long. Of two that are counted at once one may be lost, which an average
+    /// does not notice.
     pub(super) fn took(&self, time: Duration) {
         let time = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX).max(1);
         let before = self.latency.load(Ordering::Relaxed);

@@ -1,5 +1,5 @@
-//! Requests to a far object: started as long as few enough are in flight, tried again after a pause if they fail or are refused, given
-//! up in bounded time.
+//! Requests to a far object: started as long as few enough are in flight, tried again after a pause
+//! if they fail or are refused, given up in bounded time.
 
 use std::collections::HashMap;
 use std::io;
@@ -15,7 +15,8 @@ use super::queue::{Joining, Queue, Wanted};
 use super::reader::{Outlook, RangeError, RangeReader, RangeSink};
 use super::unread::unread;
 
-/// How far a retry's pause is shortened or lengthened, so that failed requests do not all come back at once.
+/// How far a retry's pause is shortened or lengthened, so that failed requests do not all come back
+/// at once.
 const JITTER: f64 = 0.25;
 /// The clock looks at flights at least this often while there are any.
 const TICK: Duration = Duration::from_millis(250);
@@ -94,7 +95,8 @@ impl Engine {
 
     /// Starts requests as long as there is anything to start.
     fn start_requests(self: &Arc<Self>) {
-        // A reader may end a request before `start` returns: the loop then goes on here, not one call deeper.
+        // A reader may end a request before `start` returns: the loop then goes on here, not one
+        // call deeper.
         if std::mem::replace(&mut self.lock().starting, true) {
             return;
         }
@@ -107,8 +109,8 @@ impl Engine {
         }
     }
 
-    /// The next request to start, which counts as in flight from now on; `None`, and nobody is starting requests any more, if
-    /// nothing waits or enough are in flight.
+    /// The next request to start, which counts as in flight from now on; `None`, and nobody is
+    /// starting requests any more, if nothing waits or enough are in flight.
     fn next_flight(self: &Arc<Self>) -> Option<Arc<Flight>> {
         let mut state = self.lock();
         let may_begin = state.flights.len() < state.pace.allowed(Instant::now());
@@ -178,7 +180,8 @@ impl Engine {
         }
     }
 
-    /// Lets a request pause before its next attempt; returns it if there is to be none. Its last one was begun then.
+    /// Lets a request pause before its next attempt; returns it if there is to be none. Its last
+    /// one was begun then.
     fn try_again(
         &self,
         mut request: Request,
@@ -297,7 +300,8 @@ impl State {
 
     /// How long the clock may wait until it looks again, if nothing changes.
     fn until_next_look(&self) -> Duration {
-        /// Without anything to wait for: long enough to cost nothing, short enough to notice that the engine has been dropped.
+        /// Without anything to wait for: long enough to cost nothing, short enough to notice that
+        /// the engine has been dropped.
         const IDLE: Duration = Duration::from_secs(5);
         let now = Instant::now();
         let ends = self.paused.iter().map(|(due, _)| *due).chain(self.pace.quiet_until());

@@ -31,8 +31,8 @@ impl Request {
     }
 }
 
-/// A request in flight. Whoever takes it out (the sink when it ends, the clock when the time is over) decides what becomes of it;
-/// bytes that come later go nowhere.
+/// A request in flight. Whoever takes it out (the sink when it ends, the clock when the time is
+/// over) decides what becomes of it; bytes that come later go nowhere.
 pub(super) struct Flight {
     pub(super) number: u64,
     pub(super) begun: Instant,
@@ -69,8 +69,8 @@ impl Flight {
         state.as_ref().map_or(0..0, |landing| landing.range.clone())
     }
 
-    /// Copies bytes to the reads that they belong to, and completes those that have all of theirs. Returns whether more are
-    /// wanted.
+    /// Copies bytes to the reads that they belong to, and completes those that have all of theirs.
+    /// Returns whether more are wanted.
     pub(super) fn put(&self, bytes: &[u8]) -> bool {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(landing) = state.as_mut() else { return false };

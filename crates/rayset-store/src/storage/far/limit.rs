@@ -1,4 +1,5 @@
-//! What the storages of a process may have in flight together, so that the memory for it has a bound.
+//! What the storages of a process may have in flight together, so that the memory for it has a
+//! bound.
 
 use std::fmt::Debug;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -27,9 +28,10 @@ struct Taken {
 }
 
 impl RequestLimit {
-    /// At most so many requests at a time, at least one, which ask for at most so many bytes together; one request may ask for more if
-    /// it is alone. `memory_bytes` is what they take at most besides the buffers that they fill: connections, code, copies. Renders
-    /// within a memory budget set it aside.
+    /// At most so many requests at a time, at least one, which ask for at most so many bytes
+    /// together; one request may ask for more if it is alone. `memory_bytes` is what they take at
+    /// most besides the buffers that they fill: connections, code, copies. Renders within a memory
+    /// budget set it aside.
     #[must_use]
     pub fn new(requests: usize, bytes: u64, memory_bytes: u64) -> Arc<Self> {
         Arc::new(Self { requests: requests.max(1), bytes, memory_bytes, taken: Mutex::default() })
@@ -43,7 +45,8 @@ impl RequestLimit {
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes room for a request of so many bytes. If there is none, who asks is among the next that are told.
+    /// Takes room for a request of so many bytes. If there is none, who asks is among the next that
+    /// are told.
     pub(super) fn take(&self, bytes: u64, asks: impl FnOnce() -> Weak<dyn Waiting>) -> bool {
         let mut taken = self.lock();
         let fits = taken.requests < self.requests && taken.bytes.saturating_add(bytes) <= self.bytes;

@@ -1,9 +1,11 @@
-//! Objects that are far away: many requests in flight, neighbours joined, failures tried again, all in bounded time.
+//! Objects that are far away: many requests in flight, neighbours joined, failures tried again, all
+//! in bounded time.
 //!
-//! A [`RangeReader`] knows how to start reading a range of one object; [`FarStorage`] makes a [`Storage`] of it. Its `queue` joins
-//! reads to requests, its `engine` starts them, at a `pace` that the server bears and within a `limit` that objects share, and tries
-//! again what failed, a `flight` is a request on its way, `simulated` is an object that is only as far away as a test wants it to be,
-//! `unread` tells errors of reading from errors in what was read.
+//! A [`RangeReader`] knows how to start reading a range of one object; [`FarStorage`] makes a
+//! [`Storage`] of it. Its `queue` joins reads to requests, its `engine` starts them, at a `pace`
+//! that the server bears and within a `limit` that objects share, and tries again what failed, a
+//! `flight` is a request on its way, `simulated` is an object that is only as far away as a test
+//! wants it to be, `unread` tells errors of reading from errors in what was read.
 
 mod counts;
 mod engine;
@@ -31,7 +33,8 @@ pub use self::unread::{copy_of_reading, is_of_reading};
 use super::buffer::PageBuffer;
 use super::transport::{Read, Storage, Transport, ends_early};
 
-/// A far object as a storage. It has one connection's worth of everything: its own queue, its own requests in flight.
+/// A far object as a storage. It has one connection's worth of everything: its own queue, its own
+/// requests in flight.
 pub struct FarStorage {
     transport: Arc<FarTransport>,
     length: u64,

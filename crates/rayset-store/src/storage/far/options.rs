@@ -6,14 +6,16 @@ use std::time::Duration;
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct FarOptions {
-    /// Most requests in flight at a time, at least 1; 64 by default. Fewer, while the server refuses some.
+    /// Most requests in flight at a time, at least 1; 64 by default. Fewer, while the server
+    /// refuses some.
     pub in_flight: usize,
-    /// Most bytes between two reads that are read for nothing, to save a request; 64 KiB by default.
+    /// Most bytes between two reads that are read for nothing, to save a request; 64 KiB by
+    /// default.
     pub gap_bytes: u64,
     /// Most bytes of a request that joins several reads; 1 MiB by default.
     pub most_bytes: u64,
-    /// Attempts at a request before its reads fail, at least 1; 6 by default. Attempts that the server refuses, because it is asked for
-    /// too much at a time, do not count.
+    /// Attempts at a request before its reads fail, at least 1; 6 by default. Attempts that the
+    /// server refuses, because it is asked for too much at a time, do not count.
     pub attempts: u32,
     /// The pause after the first failure, which doubles with every further one; 100 ms by default.
     pub first_pause: Duration,
@@ -21,7 +23,8 @@ pub struct FarOptions {
     pub longest_pause: Duration,
     /// After this time an attempt counts as failed; 30 s by default.
     pub timeout: Duration,
-    /// No attempt is begun later than this after the first one of its request; 3 minutes by default.
+    /// No attempt is begun later than this after the first one of its request; 3 minutes by
+    /// default.
     pub give_up_after: Duration,
 }
 
@@ -41,8 +44,8 @@ impl Default for FarOptions {
 }
 
 impl FarOptions {
-    /// The pause after a number of failures: doubled with each up to the longest, then shortened or lengthened at random by at most a
-    /// fraction of itself.
+    /// The pause after a number of failures: doubled with each up to the longest, then shortened or
+    /// lengthened at random by at most a fraction of itself.
     pub(super) fn pause_after(&self, failures: u32, longest: Duration, jitter: f64) -> Duration {
         let doubled = 2_u32.saturating_pow(failures.saturating_sub(1));
         let pause = self.first_pause.saturating_mul(doubled).min(longest.min(self.longest_pause));

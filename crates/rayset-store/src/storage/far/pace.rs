@@ -1,13 +1,16 @@
-//! How many requests a server is sent at a time: fewer when it refuses some because they are too many, more again as it answers.
+//! How many requests a server is sent at a time: fewer when it refuses some because they are too
+//! many, more again as it answers.
 //!
-//! An object store has a limit of requests a second, which all its clients share and nobody can look up. Each client finds its
-//! part by itself, as TCP does (additive increase, multiplicative decrease), with the decrease of CUBIC (RFC 9438, section 4.6).
+//! An object store has a limit of requests a second, which all its clients share and nobody can
+//! look up. Each client finds its part by itself, as TCP does (additive increase, multiplicative
+//! decrease), with the decrease of CUBIC (RFC 9438, section 4.6).
 
 use std::time::{Duration, Instant};
 
 /// What a refusal leaves of the requests that may be in flight.
 const DECREASE: f64 = 0.7;
-/// The longest pause after a refusal. It is short: a client that pauses long gets less than its part.
+/// The longest pause after a refusal. It is short: a client that pauses long gets less than its
+/// part.
 const LONGEST_QUIET: Duration = Duration::from_secs(1);
 
 /// The pace of the requests to one object.
@@ -39,8 +42,9 @@ impl Pace {
         self.in_a_row = 0;
     }
 
-    /// A request that was begun then has been refused. Returns when the next ones may be begun. `pause` makes of the number of
-    /// refusals in a row, and of the longest pause, how long nothing is begun.
+    /// A request that was begun then has been refused. Returns when the next ones may be begun.
+    /// `pause` makes of the number of refusals in a row, and of the longest pause, how long nothing
+    /// is begun.
     pub(super) fn refused(
         &mut self,
         begun: Instant,

@@ -8,11 +8,12 @@ use super::flight::Flight;
 
 /// Starts reading ranges of one object, which lies far away: on an object store, on a web server.
 ///
-/// Everything else (how many requests are in flight, joining of neighbours, retries, time-outs) is done by
-/// [`FarStorage`](super::FarStorage).
+/// Everything else (how many requests are in flight, joining of neighbours, retries, time-outs) is
+/// done by [`FarStorage`](super::FarStorage).
 pub trait RangeReader: Send + Sync {
-    /// Starts reading a range of bytes, and returns without waiting for them. The bytes are handed to the sink in order, from
-    /// any thread, in parts of any length; then the sink is ended. A sink that is dropped counts as a connection that was cut.
+    /// Starts reading a range of bytes, and returns without waiting for them. The bytes are handed
+    /// to the sink in order, from any thread, in parts of any length; then the sink is ended. A
+    /// sink that is dropped counts as a connection that was cut.
     fn start(&self, range: Range<u64>, sink: RangeSink);
 
     /// The object in messages: its address, without secrets.
@@ -38,20 +39,24 @@ pub(super) enum Outlook {
 }
 
 impl RangeError {
-    /// An error that may be gone at the next attempt: a connection that was cut, a server that had to be restarted.
+    /// An error that may be gone at the next attempt: a connection that was cut, a server that had
+    /// to be restarted.
     #[must_use]
     pub fn passing(source: io::Error) -> Self {
         Self { source, outlook: Outlook::Passes }
     }
 
-    /// The server would answer, if it were not asked for so much at a time (429 and 503 in HTTP). It is asked for less then, and
-    /// as long as [`give_up_after`](super::FarOptions::give_up_after) says: this does not count as one of the attempts.
+    /// The server would answer, if it were not asked for so much at a time (429 and 503 in HTTP).
+    /// It is asked for less then, and as long as
+    /// [`give_up_after`](super::FarOptions::give_up_after) says: this does not count as one of the
+    /// attempts.
     #[must_use]
     pub fn refused(source: io::Error) -> Self {
         Self { source, outlook: Outlook::Refused }
     }
 
-    /// An error that another attempt would meet again: no permission, no such object, an object that has changed.
+    /// An error that another attempt would meet again: no permission, no such object, an object
+    /// that has changed.
     #[must_use]
     pub fn lasting(source: io::Error) -> Self {
         Self { source, outlook: Outlook::Lasts }
@@ -73,8 +78,9 @@ impl RangeSink {
         Self { flight, ended: Some(ended) }
     }
 
-    /// Takes the next bytes of the range. Returns whether more are wanted: not if the request has timed out meanwhile, or the
-    /// range is complete; the rest of the answer need not be received then.
+    /// Takes the next bytes of the range. Returns whether more are wanted: not if the request has
+    /// timed out meanwhile, or the range is complete; the rest of the answer need not be received
+    /// then.
     pub fn put(&mut self, bytes: &[u8]) -> bool {
         self.flight.put(bytes)
     }

@@ -26,7 +26,8 @@ pub struct Behaviour {
     pub slow: (f64, Duration),
     /// The fraction of requests that are never answered.
     pub silent: f64,
-    /// The most requests a second that are answered; those beyond are refused. All are if this is 0.
+    /// The most requests a second that are answered; those beyond are refused. All are if this
+    /// is 0.
     pub rate: f64,
 }
 
@@ -51,7 +52,8 @@ pub struct Rate {
 }
 
 impl Rate {
-    /// Whether one more request is within so many a second; all are if there is to be no limit, which is 0.
+    /// Whether one more request is within so many a second; all are if there is to be no limit,
+    /// which is 0.
     pub fn admits(&mut self, a_second: f64) -> bool {
         if a_second <= 0.0 {
             return true;

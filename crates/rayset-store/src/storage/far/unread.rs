@@ -14,7 +14,8 @@ impl std::fmt::Display for Unread {
 
 impl std::error::Error for Unread {}
 
-/// The error of a far object that could not be read. Its kind is none of those that readers of formats take to be about the bytes.
+/// The error of a far object that could not be read. Its kind is none of those that readers of
+/// formats take to be about the bytes.
 pub(super) fn unread(kind: io::ErrorKind, what: String) -> io::Error {
     let kind = match kind {
         io::ErrorKind::UnexpectedEof => io::ErrorKind::ConnectionAborted,
@@ -24,7 +25,8 @@ pub(super) fn unread(kind: io::ErrorKind, what: String) -> io::Error {
     io::Error::new(kind, Unread(what))
 }
 
-/// Whether something could not be read, whatever its bytes are: the error is the system's, or that of a far object.
+/// Whether something could not be read, whatever its bytes are: the error is the system's, or that
+/// of a far object.
 pub fn is_of_reading(error: &io::Error) -> bool {
     error.raw_os_error().is_some() || said(error).is_some()
 }

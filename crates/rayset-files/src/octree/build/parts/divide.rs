@@ -1,7 +1,8 @@
 //! How the octree is divided among the parts: from exact counts, which all parts have alike.
 //!
-//! The buckets of the plan that a local build would follow are dealt out, consecutive ones to each part. So no leaf and no
-//! own list of a node is in two parts, and a part is as much work as the same buckets in a local build.
+//! The buckets of the plan that a local build would follow are dealt out, consecutive ones to each
+//! part. So no leaf and no own list of a node is in two parts, and a part is as much work as the
+//! same buckets in a local build.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -29,7 +30,8 @@ pub(super) fn pyramid(job: &Job<'_>) -> Pyramid {
     Pyramid::new(Cell::ROOT, job.overview.survey.count, job.overview.memory_bytes / 8)
 }
 
-/// What was counted: records, the sum of their hashes, the range of their radii where these were measured.
+/// What was counted: records, the sum of their hashes, the range of their radii where these were
+/// measured.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Counted {
     pub(super) count: u64,

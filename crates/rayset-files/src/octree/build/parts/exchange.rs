@@ -1,12 +1,13 @@
 //! The folder through which the parts of a build exchange their results, and the files in it.
 //!
-//! Every part of a step writes `STEP-PART-of-PARTS.part`: a head that says what it is, and a payload of a few megabytes at
-//! most (totals, counts). Where records or pieces of the cloud come out of it, they are in a file beside it, which ends in
-//! `.data` and is complete before the `.part` appears. All get their names only once they are complete, so a killed process
-//! leaves at most a partial file, which the next run of the same step of the same part removes.
+//! Every part of a step writes `STEP-PART-of-PARTS.part`: a head that says what it is, and a
+//! payload of a few megabytes at most (totals, counts). Where records or pieces of the cloud come
+//! out of it, they are in a file beside it, which ends in `.data` and is complete before the
+//! `.part` appears. All get their names only once they are complete, so a killed process leaves at
+//! most a partial file, which the next run of the same step of the same part removes.
 //!
-//! A `.part` is `RSETPART`, the version (4 bytes), the lengths of head (4) and payload (8), the CRC-32C of all that but
-//! itself (4), the head as JSON, the payload. Numbers are little-endian.
+//! A `.part` is `RSETPART`, the version (4 bytes), the lengths of head (4) and payload (8), the
+//! CRC-32C of all that but itself (4), the head as JSON, the payload. Numbers are little-endian.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

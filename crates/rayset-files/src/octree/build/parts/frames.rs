@@ -1,7 +1,9 @@
-//! Pieces of a cloud in a file: what is handed to the assembler, in order, written by one process and replayed by another.
+//! Pieces of a cloud in a file: what is handed to the assembler, in order, written by one process
+//! and replayed by another.
 //!
-//! A frame is its kind (1 byte), the lengths of its description and of its data (4 bytes each), the CRC-32C of both (4), and
-//! both. The description of a piece has its runs, and its nodes or, of an own list, the totals of every run.
+//! A frame is its kind (1 byte), the lengths of its description and of its data (4 bytes each), the
+//! CRC-32C of both (4), and both. The description of a piece has its runs, and its nodes or, of an
+//! own list, the totals of every run.
 
 use std::io::{self, BufReader, BufWriter, Read, Write};
 

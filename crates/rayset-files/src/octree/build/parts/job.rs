@@ -1,4 +1,5 @@
-//! A step of a part, under way: what it knows of the whole build, and the files that it reads and writes.
+//! A step of a part, under way: what it knows of the whole build, and the files that it reads and
+//! writes.
 
 use super::super::context::{Context, Place};
 use super::super::control::BuildControl;
@@ -18,8 +19,8 @@ pub(super) struct Overview {
     pub(super) request: String,
     pub(super) survey: Survey,
     pub(super) choices: Choices,
-    /// The smallest memory of a part, and the largest number of threads: records are divided so that any part can hold its
-    /// own.
+    /// The smallest memory of a part, and the largest number of threads: records are divided so
+    /// that any part can hold its own.
     pub(super) memory_bytes: u64,
     pub(super) threads: usize,
 }
@@ -36,8 +37,8 @@ struct Gathered {
 }
 
 impl Overview {
-    /// Reads what all parts of `read` say. `request` is what the caller says of inputs and options; an empty one is not
-    /// compared.
+    /// Reads what all parts of `read` say. `request` is what the caller says of inputs and options;
+    /// an empty one is not compared.
     pub(super) fn load(exchange: &Exchange, request: &str) -> Result<Self, BuildError> {
         let mut gathered: Option<Gathered> = None;
         exchange.read_all(BuildStep::Read, |part| {
@@ -192,7 +193,8 @@ impl<'a> Job<'a> {
     pub(super) fn publish(&self, data: Option<(DataFile, u64)>, payload: &[u8]) -> Result<(), BuildError> {
         let data_bytes = data.as_ref().map(|(_, bytes)| *bytes);
         if let Some((data, _)) = data {
-            // Of two runs of the same step of the same part, the head of one must not stand beside the data of the other.
+            // Of two runs of the same step of the same part, the head of one must not stand beside
+            // the data of the other.
             let _ = std::fs::remove_file(self.exchange.part_path(self.step, self.part));
             data.publish()?;
         }

@@ -1,12 +1,14 @@
 //! Builds that are divided among processes, which may run on different machines.
 //!
-//! Every [`BuildStep`] is done in parts, one process each, and the parts of the last step are merged to the file that a local
-//! build writes, byte for byte. Parts exchange their results through a folder (`exchange`), which all of them see.
+//! Every [`BuildStep`] is done in parts, one process each, and the parts of the last step are
+//! merged to the file that a local build writes, byte for byte. Parts exchange their results
+//! through a folder (`exchange`), which all of them see.
 //!
-//! `read` reads and checks a share of the input (`share`). Its totals, merged, give the root cell, so that `count` can count
-//! points by octree cells. From these counts all parts derive the same division of the octree into ranges of buckets
-//! (`divide`): exact counts, so no leaf is cut. `scatter` distributes the records of each share to the ranges, `order` sorts a
-//! range and encodes its pieces (`work`), and the merge lays these out in pages (`frames`).
+//! `read` reads and checks a share of the input (`share`). Its totals, merged, give the root cell,
+//! so that `count` can count points by octree cells. From these counts all parts derive the same
+//! division of the octree into ranges of buckets (`divide`): exact counts, so no leaf is cut.
+//! `scatter` distributes the records of each share to the ranges, `order` sorts a range and encodes
+//! its pieces (`work`), and the merge lays these out in pages (`frames`).
 
 mod divide;
 mod exchange;
@@ -39,14 +41,17 @@ use super::survey::{Form, Survey};
 use crate::points::PointSource;
 use rayset_store::output::{Destination, OutputFile, remove_leftovers};
 
-/// A build that is divided among processes: the folder through which they exchange their results, and their number.
+/// A build that is divided among processes: the folder through which they exchange their results,
+/// and their number.
 ///
-/// Each [`BuildStep`] has as many parts as there are processes, numbered from 1. All parts of one step are done before any of
-/// the next begins; within a step they run in any order, or at once, in any processes that see the folder. A part can be run
-/// again, whatever became of an earlier run of it. [`merge`](Self::merge) makes the cloud file, which is the same as that of
+/// Each [`BuildStep`] has as many parts as there are processes, numbered from 1. All parts of one
+/// step are done before any of the next begins; within a step they run in any order, or at once, in
+/// any processes that see the folder. A part can be run again, whatever became of an earlier run of
+/// it. [`merge`](Self::merge) makes the cloud file, which is the same as that of
 /// [`to_file`](super::run), byte for byte.
 ///
-/// The folder takes up to twice the size of the records, 24 bytes a point and what is stored with it.
+/// The folder takes up to twice the size of the records, 24 bytes a point and what is stored with
+/// it.
 #[derive(Clone, Debug)]
 pub struct BuildParts {
     exchange: Exchange,
@@ -54,7 +59,8 @@ pub struct BuildParts {
 }
 
 impl BuildParts {
-    /// A build in `parts` parts, 1 to 512. The folder is created when it is needed; that which contains it must exist.
+    /// A build in `parts` parts, 1 to 512. The folder is created when it is needed; that which
+    /// contains it must exist.
     ///
     /// # Errors
     /// [`BuildError::Option`] if there are too many parts, or none.
@@ -69,7 +75,8 @@ impl BuildParts {
     /// The build of which a folder has parts.
     ///
     /// # Errors
-    /// [`BuildError::Io`] if the folder cannot be read, [`BuildError::Part`] if it has no parts, or parts of several builds.
+    /// [`BuildError::Io`] if the folder cannot be read, [`BuildError::Part`] if it has no parts, or
+    /// parts of several builds.
     pub fn open(folder: &Path) -> Result<Self, BuildError> {
         let wrong = |what: String| Err(BuildError::Part { path: folder.to_owned(), what });
         match Exchange::found(folder)?.as_slice() {
@@ -79,8 +86,9 @@ impl BuildParts {
         }
     }
 
-    /// Sets a text that says what the inputs and the options are. Parts that were made with another one are refused, and a
-    /// share that has been read with the same one is not read again. Without any, nothing is compared.
+    /// Sets a text that says what the inputs and the options are. Parts that were made with another
+    /// one are refused, and a share that has been read with the same one is not read again. Without
+    /// any, nothing is compared.
     #[must_use]
     pub fn with_request(self, request: String) -> Self {
         Self { request, ..self }
@@ -92,7 +100,8 @@ impl BuildParts {
         self.exchange.parts
     }
 
-    /// The files that a part of a step writes, so that a process which is ended can remove what it has begun.
+    /// The files that a part of a step writes, so that a process which is ended can remove what it
+    /// has begun.
     #[must_use]
     pub fn files(&self, step: BuildStep, part: u32) -> [PathBuf; 2] {
         [self.exchange.part_path(step, part), self.exchange.data_path(step, part)]
@@ -101,7 +110,8 @@ impl BuildParts {
     /// The first step that has not been done by a part; `None` once all have.
     ///
     /// # Errors
-    /// [`BuildError::MissingParts`] if the step must wait for other parts; [`BuildError`] if a file cannot be used.
+    /// [`BuildError::MissingParts`] if the step must wait for other parts; [`BuildError`] if a file
+    /// cannot be used.
     pub fn next_step(&self, part: u32) -> Result<Option<BuildStep>, BuildError> {
         self.check_part(part)?;
         let Some(read) = self.exchange.read(BuildStep::Read, part)? else { return Ok(Some(BuildStep::Read)) };
@@ -120,9 +130,11 @@ impl BuildParts {
         Ok(None)
     }
 
-    /// Does [`BuildStep::Read`] of a part: reads its share of all `sources`, which are the same for all parts.
+    /// Does [`BuildStep::Read`] of a part: reads its share of all `sources`, which are the same for
+    /// all parts.
     ///
-    /// Sources that [can skip](PointSource::can_skip) are divided, and others given to one part each.
+    /// Sources that [can skip](PointSource::can_skip) are divided, and others given to one part
+    /// each.
     ///
     /// # Errors
     /// [`BuildError`].
@@ -140,8 +152,8 @@ impl BuildParts {
         self.read_stretches(part, (&form, &columns), stretches, options, control)
     }
 
-    /// Does [`BuildStep::Read`] of a part whose records are in `sources`, which no other part has. All parts must have the
-    /// same columns of the same types.
+    /// Does [`BuildStep::Read`] of a part whose records are in `sources`, which no other part has.
+    /// All parts must have the same columns of the same types.
     ///
     /// # Errors
     /// [`BuildError`].
@@ -191,8 +203,9 @@ impl BuildParts {
         self.exchange.write(BuildStep::Read, part, head, &payload)
     }
 
-    /// Does a step of a part, other than [`BuildStep::Read`]; one that has been done is not done again. Of `options` only the
-    /// resources count: memory, threads and the folder of temporary files.
+    /// Does a step of a part, other than [`BuildStep::Read`]; one that has been done is not done
+    /// again. Of `options` only the resources count: memory, threads and the folder of temporary
+    /// files.
     ///
     /// # Errors
     /// [`BuildError::MissingParts`] if parts of the step before have not been done; [`BuildError`].
@@ -223,7 +236,8 @@ impl BuildParts {
         }
     }
 
-    /// Merges the parts of the last step to a cloud file at `output`. Of `options` only the resources count.
+    /// Merges the parts of the last step to a cloud file at `output`. Of `options` only the
+    /// resources count.
     ///
     /// # Errors
     /// [`BuildError`]; an existing file at `output` is then unchanged.

@@ -7,11 +7,13 @@ use rayset_store::storage::input_file::{self, Named};
 /// Bytes of a record of a source that does not say how many it has, for an estimate of its size.
 const TYPICAL_BYTES: u64 = 32;
 
-/// The share of part `part` of `parts`, from 1, of the records of all sources: consecutive records of those that can be
-/// entered in the middle, and others as a whole. The shares of all parts have every record once.
+/// The share of part `part` of `parts`, from 1, of the records of all sources: consecutive records
+/// of those that can be entered in the middle, and others as a whole. The shares of all parts have
+/// every record once.
 ///
-/// Depends on nothing but what the sources say of themselves, so all parts divide them alike. Where a source has more
-/// records than it says, the part that has the last of those which it says reads them, too.
+/// Depends on nothing but what the sources say of themselves, so all parts divide them alike. Where
+/// a source has more records than it says, the part that has the last of those which it says reads
+/// them, too.
 pub(super) fn share(sources: Vec<Box<dyn PointSource + '_>>, part: u32, parts: u32) -> Vec<Stretch<'_>> {
     let sizes: Vec<u64> = sources.iter().map(|source| size(&**source)).collect();
     let total: u128 = sizes.iter().map(|&size| u128::from(size)).sum();

@@ -1,5 +1,5 @@
-//! The steps that measure radii: a stretch of the curve is sorted, its radii are measured with the neighbours in all
-//! stretches, and they are settled by what is usual in the whole cloud.
+//! The steps that measure radii: a stretch of the curve is sorted, its radii are measured with the
+//! neighbours in all stretches, and they are settled by what is usual in the whole cloud.
 
 use std::io::{BufReader, BufWriter, Read, Write};
 
@@ -109,8 +109,8 @@ fn corners(bounds: &Aabb) -> [u64; 6] {
     [min[0], min[1], min[2], max[0], max[1], max[2]].map(f64::to_bits)
 }
 
-/// Number of records and sum of their hashes, grain, numbers of boxes and crowds; corners of the boxes; range, corners and
-/// places of the crowds.
+/// Number of records and sum of their hashes, grain, numbers of boxes and crowds; corners of the
+/// boxes; range, corners and places of the crowds.
 fn encode(sketch: &Sketch, sum: u64) -> Vec<u8> {
     let front = [sketch.count, sum, sketch.grain, sketch.boxes.len() as u64, sketch.crowds.len() as u64];
     let boxes = sketch.boxes.iter().flat_map(corners);

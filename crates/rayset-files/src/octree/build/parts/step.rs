@@ -5,9 +5,11 @@ use std::str::FromStr;
 
 use rayset_base::parse::ParseError;
 
-/// A step of a build in parts: all parts of one step are done, in any order or at once, before any of the next begins.
+/// A step of a build in parts: all parts of one step are done, in any order or at once, before any
+/// of the next begins.
 ///
-/// The steps of spacing are for radii that are measured; where radii are given, they have nothing to do.
+/// The steps of spacing are for radii that are measured; where radii are given, they have nothing
+/// to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum BuildStep {

@@ -1,4 +1,5 @@
-//! What a part of `read` says of its records, as JSON; floating-point numbers as their bits, so that they stay what they are.
+//! What a part of `read` says of its records, as JSON; floating-point numbers as their bits, so
+//! that they stay what they are.
 
 use super::super::depths::{Depths, Seen};
 use super::super::error::Skipped;
@@ -71,8 +72,8 @@ struct StoredTotals {
     attribute_ranges: Vec<(u64, u64)>,
 }
 
-/// What is known of colours; of each source that states no depth its number, type, largest value, whether it has fractions,
-/// and its number of points.
+/// What is known of colours; of each source that states no depth its number, type, largest value,
+/// whether it has fractions, and its number of points.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize, serde::Serialize)]
 struct StoredDepths {
     guessed: Vec<(u32, u8, u32, bool, u64)>,

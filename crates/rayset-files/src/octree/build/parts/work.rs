@@ -75,8 +75,8 @@ pub(super) fn count(
     Ok(Counted { count, sum, radius_range: NO_RANGE }.encode(&pyramid))
 }
 
-/// Writes the records of a part, bucket by bucket, to `data`; returns its payload, the count and sum of each
-/// bucket, and the size of the data.
+/// Writes the records of a part, bucket by bucket, to `data`; returns its payload, the count and
+/// sum of each bucket, and the size of the data.
 pub(super) fn scatter(
     job: &Job<'_>,
     context: &Context<'_>,
@@ -122,7 +122,8 @@ struct Gathered {
     sums: Vec<u64>,
 }
 
-/// What a part has scattered to some buckets: the byte of its data at which they begin, and their counts.
+/// What a part has scattered to some buckets: the byte of its data at which they begin, and their
+/// counts.
 struct Scattered {
     start: u64,
     counts: Vec<u64>,

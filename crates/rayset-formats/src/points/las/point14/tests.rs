@@ -9,7 +9,8 @@ use proptest::prelude::*;
 
 use super::{GROUPS, LAYERS, Median, Point14};
 
-/// A point of format 7: one with colours, whose decoding depends on the channel that this item passes on.
+/// A point of format 7: one with colours, whose decoding depends on the channel that this item
+/// passes on.
 type Record = [u8; 36];
 
 fn items(version: u16) -> Vec<LazItem> {
@@ -56,8 +57,8 @@ struct Unrest {
     time: f64,
     /// The share of changes to arbitrary rather than to nearby values.
     wild: f64,
-    /// Times are arbitrary bits. Otherwise they have one sign: if a sequence has a step, differences overflow in the
-    /// compressor of the `laz` crate.
+    /// Times are arbitrary bits. Otherwise they have one sign: if a sequence has a step,
+    /// differences overflow in the compressor of the `laz` crate.
     any_time: bool,
 }
 
