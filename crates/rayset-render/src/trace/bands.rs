@@ -105,7 +105,7 @@ impl View {
         /// More pages than fit are not asked for.
         const MOST: usize = 512;
         let row = band.rows.end;
-        if row >= region.rows.end || !self.prepared.world.foresight.far {
+        if row >= region.rows.end || !self.prepared.world.foresight.policy.asks_along_rays() {
             return Vec::new();
         }
         let rows = row..self.end_of_band(row, band_rows, region.rows.end);

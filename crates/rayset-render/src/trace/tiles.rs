@@ -80,7 +80,7 @@ impl<'a> TileQueue<'a> {
         }
         let ready = self.deferred.iter().position(Deferred::is_ready);
         if let Some(deferred) = ready.and_then(|at| self.deferred.remove(at)) {
-            let waits = deferred.attempts >= deferral.impatient_attempts();
+            let waits = deferred.attempts >= deferral.policy.impatient_attempts();
             return Some(self.attempt(&deferred, waits, deferral));
         }
         if (self.deferred.is_empty() || self.deferred.len() < deferral.most)
@@ -88,10 +88,10 @@ impl<'a> TileQueue<'a> {
         {
             let waits = self.predictor.slabs_on_a_miss() == 0
                 || deferral.most == 0
-                || deferred.attempts >= deferral.impatient_attempts();
+                || deferred.attempts >= deferral.policy.impatient_attempts();
             return Some(self.attempt(&deferred, waits, deferral));
         }
-        if deferral.far {
+        if deferral.policy.tries_again() {
             self.wait_for_any();
             if let Some(ready) = self.deferred.iter().position(Deferred::is_ready) {
                 self.deferred.swap(0, ready);
@@ -104,7 +104,8 @@ impl<'a> TileQueue<'a> {
     /// An attempt at a tile once the page that it lacked is there, or, of near ones and after very
     /// many attempts, one that waits for all.
     fn attempt_with_page(&self, deferred: &Deferred, deferral: Deferral) -> Attempt<'a> {
-        let waits = !deferral.far || deferred.attempts >= deferral.impatient_attempts();
+        let Deferral { policy, .. } = deferral;
+        let waits = !policy.tries_again() || deferred.attempts >= policy.impatient_attempts();
         if !waits && let Some(Lacking { object, page }) = &deferred.lacking {
             // If it cannot be had, the attempt will meet the same error.
             let _ = self.pages.retain(object, *page);
@@ -148,7 +149,7 @@ impl<'a> TileQueue<'a> {
             waits,
             slabs_on_a_miss: self.predictor.slabs_on_a_miss(),
             follows_lines: self.predictor.follows_lines(),
-            foresees: if waits { None } else { deferral.foresees(deferred.attempts) },
+            foresees: if waits { None } else { deferral.policy.reach(deferred.attempts) },
             foreseen: self.foreseen,
             asked_bytes: self.asked_bytes,
             reuse: self.reuse,
@@ -198,6 +199,7 @@ impl Together {
 mod tests {
     use super::super::predict::PacketPredictor;
     use super::*;
+    use crate::trace::predict::policy;
     use rayset_base::CancelToken;
     use rayset_store::storage::local::Pool;
     use rayset_store::working_set::{Limits, WorkingSet};
@@ -214,7 +216,7 @@ mod tests {
             queue.deferred.push_back(Deferred { place: place(tile), attempts, lacking: None });
         }
         let mut fresh = Some(Deferred::fresh(place(9)));
-        let deferral = Deferral { most: 16, far: true, stuck };
+        let deferral = Deferral { most: 16, policy: policy::of_files(true), stuck };
         std::iter::from_fn(|| queue.next(deferral, |_| fresh.take())).map(|next| next.place.tile).collect()
     }
 

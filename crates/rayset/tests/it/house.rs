@@ -265,6 +265,8 @@ fn comments_fit_a_hundred_columns() {
 fn wide_comments_are_found_and_tables_are_not() {
     let words = "word ".repeat(20);
     assert!(is_wide_comment(&format!("    /// {words}")) && is_wide_comment(&format!("//! {words}")));
-    assert!(!is_wide_comment(&format!("/// | {words}")) && !is_wide_comment(&format!("    let a = {words};")));
+    assert!(
+        !is_wide_comment(&format!("/// | {words}")) && !is_wide_comment(&format!("    let a = {words};"))
+    );
     assert!(!is_wide_comment("// a comment"));
 }

@@ -159,7 +159,8 @@ impl Counting {
         const BURST: usize = 4;
         let until = (number + AHEAD).min(self.blocks());
         let from = self.asked.load(Ordering::Relaxed).max(number);
-        if !self.foresight.far || (from + BURST > until && from > number) || from >= until {
+        let asks = self.foresight.policy.asks_along_rays();
+        if !asks || (from + BURST > until && from > number) || from >= until {
             return;
         }
         self.asked.store(until, Ordering::Relaxed);

@@ -6,43 +6,20 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Number of attempts at a tile without waiting. The next attempt waits for every page, so that
-/// even with a budget that keeps none of them between attempts the tile is finished.
-const IMPATIENT_ATTEMPTS: u32 = 6;
-/// The same where pages come from far away: hundreds of tiles are traced in the time that one page
-/// takes, and an attempt that waits for page after page takes many times that.
-const IMPATIENT_ATTEMPTS_FAR: u32 = 48;
+use super::policy::Policy;
+
 /// A tile that is deferred after so many attempts has less room than it needs.
 const STUCK: u32 = 5;
 
 /// How many tiles a thread may defer, and how it waits for them.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub(in crate::trace) struct Deferral {
     /// Most tiles that are deferred at a time.
     pub(in crate::trace) most: usize,
-    /// Whether pages come from far away.
-    pub(in crate::trace) far: bool,
+    pub(in crate::trace) policy: &'static dyn Policy,
     /// Whether any tile needs more room than there is beside the others: those that have been
     /// attempted most often come first.
     pub(in crate::trace) stuck: bool,
-}
-
-impl Deferral {
-    /// How far an attempt looks along its rays, as a factor on the optical depth with which they
-    /// are expected to have ended, after so many others. The first finds out whether anything is
-    /// missing at all. If what was expected did not suffice, rays go on farther than that; and if
-    /// many attempts did not bring what is needed, there is no room for it.
-    pub(in crate::trace) fn foresees(self, attempts: u32) -> Option<f32> {
-        const LAST: u32 = 12;
-        const MOST_DOUBLED: u32 = 6;
-        let is_asked = self.far && (1..=LAST).contains(&attempts);
-        is_asked.then(|| (1_u32 << (attempts - 1).min(MOST_DOUBLED)) as f32)
-    }
-
-    /// Number of attempts at a tile without waiting.
-    pub(in crate::trace) fn impatient_attempts(self) -> u32 {
-        if self.far { IMPATIENT_ATTEMPTS_FAR } else { IMPATIENT_ATTEMPTS }
-    }
 }
 
 /// The tiles of a render that are deferred, of all its threads.
@@ -148,15 +125,5 @@ mod tests {
         assert!(tiles.is_any_stuck());
         tiles.remove(1, STUCK + 3);
         assert!(!tiles.is_any_stuck());
-    }
-
-    #[test]
-    fn each_attempt_at_far_pages_asks_for_more_until_they_are_too_many() {
-        let deferral = |far| Deferral { most: 16, far, stuck: false };
-        let reach: Vec<_> = (0..14).map(|attempts| deferral(true).foresees(attempts)).collect();
-        assert_eq!(reach[..4], [None, Some(1.0), Some(2.0), Some(4.0)]);
-        assert!(reach[1..=12].is_sorted() && reach[7..=12].iter().all(|&reach| reach == Some(64.0)));
-        assert_eq!(reach[13], None);
-        assert!((0..14).all(|attempts| deferral(false).foresees(attempts).is_none()));
     }
 }

@@ -8,6 +8,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use super::policy::{self, Policy};
 use super::probe::{Expected, Gap, ProbeRays};
 use crate::scene::Operator;
 use crate::trace::access::{Access, Lacking};
@@ -26,8 +27,8 @@ pub(in crate::trace) struct Foresight {
     clouds: Vec<CloudAhead>,
     /// Every grid that is far away.
     grids: Vec<GridAhead>,
-    /// Whether pages of any file come from far away.
-    pub(in crate::trace) far: bool,
+    /// How pages of these files are brought in.
+    pub(in crate::trace) policy: &'static dyn Policy,
 }
 
 /// A cloud of the graph.
@@ -51,7 +52,8 @@ impl Foresight {
     /// That of a graph in which rays end at a transmittance.
     pub(in crate::trace) fn new(program: &Program, stop_transmittance: f64) -> Self {
         let stop = stop_transmittance as f32;
-        let far = program.files().any(|pages| pages.is_far());
+        let policy = policy::of_files(program.files().any(|pages| pages.is_far()));
+        let expects = policy.expects();
         let mut files: Vec<Arc<Object>> = Vec::new();
         let mut number = |pages: &Arc<Object>| {
             let known = files.iter().position(|file| Arc::ptr_eq(file, pages));
@@ -66,10 +68,8 @@ impl Foresight {
         for (at, instruction) in program.instructions.iter().enumerate() {
             match &instruction.action {
                 Action::Cloud(volume) if volume.placement.header().points > 0 => {
-                    // A page that has to be waited for costs more than some that are read in vain
-                    // only if it is far away.
-                    let stop = if far && !ends[at] { 0.0 } else { stop };
-                    let expected = Expected::new(&volume.shading, stop, far);
+                    let stop = if expects.careful && !ends[at] { 0.0 } else { stop };
+                    let expected = Expected::new(&volume.shading, stop, expects);
                     clouds.push(CloudAhead { at, file: number(&volume.placement.pages), expected });
                 }
                 Action::Grid(volume) if volume.pages().is_far() => {
@@ -79,7 +79,7 @@ impl Foresight {
                 _ => {}
             }
         }
-        Self { files, clouds, grids, far }
+        Self { files, clouds, grids, policy }
     }
 
     /// Its clouds: where each is, the index of its file, and its expected effect on light.
@@ -136,7 +136,7 @@ impl Foresight {
         /// One part in this many of the budget: of more, the first would have gone before the last
         /// are there.
         const MOST_OF_BUDGET: u64 = 8;
-        let Some(reach) = access.foresees.filter(|_| self.far) else { return };
+        let Some(reach) = access.foresees.filter(|_| self.policy.asks_along_rays()) else { return };
         let most = (access.pages.share_bytes() / MOST_OF_BUDGET / self.page_bytes()).max(1) as usize;
         let mut asked: Vec<BTreeSet<u32>> = vec![BTreeSet::new(); self.files.len()];
         for rays in packets {

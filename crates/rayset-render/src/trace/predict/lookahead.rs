@@ -12,6 +12,7 @@ use super::deferral::{Deferral, DeferredTiles};
 use super::found::{Found, Looked, PageId};
 use super::order::{Edge, Order};
 use super::pace::Pace;
+use super::policy::Policy;
 use super::probe::{Gap, ProbeRays};
 use crate::field::LANES;
 use crate::scene::RayMaker;
@@ -23,12 +24,6 @@ use rayset_base::geometry::{Aabb, DVec3, Ray};
 use rayset_files::octree::node::Node;
 use rayset_store::working_set::{Object, PageClient, Reuse};
 
-/// Pages of far files stay for tiles that are deferred, for so many times as long as a page takes:
-/// if they were let go, such a tile would have to bring them in again. Longer, all others would
-/// wait for the few pages that take far longer than usual.
-const PATIENCE: u32 = 4;
-/// At least for so long.
-const LEAST_PATIENCE: Duration = Duration::from_millis(20);
 /// What is known about the picture being rendered and the rays to come.
 #[derive(Clone, Copy)]
 pub struct Lookahead<'a> {
@@ -50,11 +45,11 @@ pub(in crate::trace) struct LookaheadState {
     /// Pages that fit the budget besides those that the look-ahead tiles being traced need.
     spare_pages: AtomicU64,
     pub(super) pace: Pace,
-    /// Whether pages of any file come from far away.
-    pub(super) far: bool,
-    /// Number of tiles that have been examined, of far files.
+    /// How pages are brought in.
+    policy: &'static dyn Policy,
+    /// Number of tiles that have been examined, where pages are held for them.
     pub(super) examined: AtomicU32,
-    /// Tiles that are deferred, of far files.
+    /// Tiles that are deferred, where pages are held for them.
     deferred: DeferredTiles,
 }
 
@@ -70,20 +65,20 @@ impl LookaheadState {
             pace: Pace::default(),
             examined: AtomicU32::new(0),
             deferred: DeferredTiles::default(),
-            far: world.foresight.far,
+            policy: world.foresight.policy,
         }
     }
 
     /// A tile is deferred after so many attempts.
     pub(in crate::trace) fn deferred(&self, tile: usize, attempts: u32) {
-        if self.far {
+        if self.policy.holds_pages() {
             self.deferred.add(tile as u32, attempts, Instant::now());
         }
     }
 
     /// A tile is finished with an attempt of this number.
     pub(in crate::trace) fn finished(&self, tile: usize, attempt: u32) {
-        if self.far {
+        if self.policy.holds_pages() {
             self.deferred.remove(tile as u32, attempt);
         }
     }
@@ -91,7 +86,7 @@ impl LookaheadState {
     /// Whether a tile should wait until those that are deferred are finished: the pages that it
     /// needs have not been looked for, because those of the deferred ones take all the room.
     pub(in crate::trace) fn is_too_early(&self, tile: usize) -> bool {
-        self.far && tile as u32 >= self.examined.load(Ordering::Relaxed)
+        self.policy.holds_pages() && tile as u32 >= self.examined.load(Ordering::Relaxed)
     }
 
     /// A thread has traced for so long, without waiting.
@@ -109,19 +104,9 @@ impl LookaheadState {
     /// If rays need most of the budget at a time, tracing other tiles meanwhile would only evict
     /// their pages.
     pub(in crate::trace) fn deferral(&self) -> Deferral {
-        /// Enough to hide the latency of a slow disk.
-        const MOST: u64 = 32;
-        /// The same of far storage, where most pages come in time: more tiles would keep more pages
-        /// from those that come after them.
-        const MOST_FAR: u64 = 16;
-        /// Pages that a tile may bring in before it is deferred again.
-        const PAGES_EACH: u64 = 8;
         let spare = self.spare_pages.load(Ordering::Relaxed);
-        let most = match self.far {
-            true => MOST_FAR as usize,
-            false => (spare / (PAGES_EACH * self.threads as u64)).min(MOST) as usize,
-        };
-        Deferral { most, far: self.far, stuck: self.is_stuck() }
+        let most = self.policy.most_deferred(spare / self.threads as u64);
+        Deferral { most, policy: self.policy, stuck: self.is_stuck() }
     }
 
     /// Whether any tile has less room than it needs: nothing more is to be looked ahead at until it
@@ -143,25 +128,32 @@ impl<'a> Lookahead<'a> {
         // One thread at a time does this; the others have tiles to trace.
         let Ok(mut found) = state.found.try_lock() else { return };
         let here = tile as u32;
-        let patience =
-            if state.far { (PATIENCE * self.latency()).max(LEAST_PATIENCE) } else { Duration::ZERO };
+        let patience = state.policy.patience(self.latency());
         let first = state.deferred.first_since(Instant::now(), patience).unwrap_or(here);
         self.retire(&mut found, first.min(here));
         if found.next < here {
             found.next = here;
             found.nodes_hinted.clear();
         }
-        if state.far {
-            return self.fill_window(&mut found, here);
+        if state.policy.holds_pages() {
+            self.fill_window(&mut found, here);
+        } else {
+            self.follow_squares(&mut found, here, tiles_ahead);
         }
+    }
+
+    /// Looks ahead at some squares beyond the one that is being traced, one after another, as far
+    /// as there is room.
+    fn follow_squares(&self, found: &mut Found, here: u32, tiles_ahead: u32) {
+        let state = self.state;
         let end_of = |place| state.order.rest_of_square(place, Edge::MOST).end;
         let next = end_of(here);
         let until =
             (0..tiles_ahead).fold(next, |end, _| if end < state.order.len() { end_of(end) } else { end });
         // The current look-ahead tile and the next are examined even without room, to know how many
         // pages they need.
-        while found.next < until && (self.hint(&mut found, here) || found.next <= next) {
-            let Some(looked) = self.look(found.next, Edge::MOST, &mut found) else { return };
+        while found.next < until && (self.hint(found, here) || found.next <= next) {
+            let Some(looked) = self.look(found.next, Edge::MOST, found) else { return };
             found.take_in(looked);
         }
     }
@@ -169,7 +161,7 @@ impl<'a> Lookahead<'a> {
     /// Ends looking ahead: nothing is kept for it any more.
     pub(in crate::trace) fn finish(&self) {
         let Ok(found) = self.state.found.try_lock() else { return };
-        if self.state.far {
+        if self.state.policy.holds_pages() {
             let kept: Vec<PageId> =
                 found.seen.keys().chain(&found.to_let_go).chain(&found.nodes_to_let_go).copied().collect();
             kept.into_iter().for_each(|page| {
@@ -243,13 +235,13 @@ impl<'a> Lookahead<'a> {
         let order = &self.state.order;
         let square = order.begin_of_square(here, found.edge);
         let passed_to = match square.checked_sub(1) {
-            Some(before) if self.state.threads > 1 || !self.state.far => {
+            Some(before) if self.state.threads > 1 || self.state.policy.stays_a_square_longer() => {
                 order.begin_of_square(before, found.edge)
             }
             _ => square,
         };
         let passed = found.pass(passed_to);
-        if self.state.far {
+        if self.state.policy.holds_pages() {
             let let_go: Vec<PageId> =
                 found.to_let_go.drain(..).chain(passed.unused.iter().copied()).collect();
             found.to_let_go = let_go.into_iter().filter(|&page| self.let_go(page)).collect();
@@ -280,11 +272,11 @@ impl<'a> Lookahead<'a> {
         let rays = self.rays_of(&self.state.order.pixels_of_square(at, edge));
         let mut looked = Looked::new(self.state.order.rest_of_square(at, edge));
         let (mut complete, mut gone) = (true, false);
-        let (world, far) = (self.world, self.state.far);
-        let (casts_shadows, mut met) = (far && world.shadows.is_some(), Vec::new());
+        let (world, policy) = (self.world, self.state.policy);
+        let (casts_shadows, mut met) = (policy.asks_along_rays() && world.shadows.is_some(), Vec::new());
         for (cloud, file, expected) in world.foresight.clouds(&world.program) {
             let mut want = |node: &Node| {
-                let pages = if far { cloud.own_pages_at_most(node) } else { cloud.own_pages(node) };
+                let pages = policy.own_pages(cloud, node);
                 if !pages.is_empty() {
                     let use_by = self.last_visit(&cloud.bounds_world_of(node));
                     pages.for_each(|page| looked.want(PageId { file, page }, use_by));

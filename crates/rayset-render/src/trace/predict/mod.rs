@@ -8,6 +8,7 @@ mod found;
 mod lookahead;
 mod order;
 mod pace;
+pub(super) mod policy;
 mod probe;
 mod window;
 

@@ -5,6 +5,7 @@ use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::convert::Infallible;
 
+use super::policy::Expects;
 use crate::field::{Crossing, LANES, RayColumns, SimdLevel};
 use crate::scene::OpacityRule;
 use crate::trace::cloud::{CloudShading, NodesInMemory};
@@ -252,17 +253,14 @@ pub(super) struct Expected {
 impl Expected {
     /// The effect with a safety factor on the optical depth: densities vary, and a page that is
     /// read in vain costs less than one that has to be waited for, the more so if it is far away.
-    pub(super) fn new(shading: &CloudShading, stop_transmittance: f32, far: bool) -> Self {
-        const MARGIN: f32 = 1.2;
-        const MARGIN_FAR: f32 = 1.5;
-        let margin = if far { MARGIN_FAR } else { MARGIN };
+    pub(super) fn new(shading: &CloudShading, stop_transmittance: f32, expects: Expects) -> Self {
         Self {
             transfer: shading.opacity.clone(),
             unit_distance: shading.unit_distance,
             point_integral: shading.kernel.integral(),
             normalised: shading.normalised,
-            opaque_optical_depth: -stop_transmittance.ln() * margin,
-            careful: far,
+            opaque_optical_depth: -stop_transmittance.ln() * expects.margin,
+            careful: expects.careful,
         }
     }
 
