@@ -13,7 +13,7 @@ use rayset::file::FileKind;
 use rayset::geometry::DVec3;
 use rayset::{CancelToken, Cloud, Grid, OpenError};
 use rayset_inputs::look::{self, Looks, Picture};
-use rayset_inputs::{CacheArgs, Host, Input, Opened, OwnFolder, Resources};
+use rayset_inputs::{BuildChoices, Cache, Host, Input, Opened, OwnFolder, Resources};
 
 use crate::errors::{self, Kind};
 use crate::far;
@@ -334,8 +334,9 @@ pub(crate) fn open_files(
     told: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<(AnyFile, Vec<String>)> {
     let (cancel, progress) = (CancelToken::new(), Progress::default());
-    let cache = if keep { CacheArgs::in_folder(cache) } else { CacheArgs::none() };
-    let cache = cache.with_columns(columns).with_volume_index(volume_index);
+    let cache = if keep { Cache::in_folder(cache) } else { Cache::none() };
+    let choices = BuildChoices { columns, volume_index, ..BuildChoices::default() };
+    let cache = Cache { choices, ..cache };
     let host = Package { remarks: Mutex::default(), progress: &progress, cancel: &cancel, folder: temp_dir };
     rayset::storage::look_again();
     let work = || rayset_inputs::open(&paths, &cache, Resources { memory, threads, host: &host });

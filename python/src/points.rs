@@ -7,6 +7,7 @@ use std::sync::Mutex;
 use anyhow::{Context, Result};
 use pyo3::prelude::*;
 use rayset::CancelToken;
+use rayset::Cloud;
 use rayset::build::{self, BuildControl, BuildOptions};
 use rayset::output::Destination;
 use rayset::points::{PointSource, ReadError, ReadOptions};

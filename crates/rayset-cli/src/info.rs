@@ -13,9 +13,10 @@ use rayset::{Cloud, Grid};
 
 use crate::annotate::{of_header, of_reference_system};
 use crate::histogram::{Histogram, terminal_is_unicode};
-use rayset_inputs::{CacheArgs, Input, units};
+use rayset_inputs::{Input, units};
 
 use crate::input::{self, Resources};
+use crate::input_args::InputArgs;
 use crate::memory::PROCESS_BYTES;
 use crate::report;
 use rayset_inputs::look::{self, Chosen};
@@ -31,7 +32,7 @@ pub(crate) struct InfoArgs {
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     #[command(flatten)]
-    cache: CacheArgs,
+    cache: InputArgs,
     /// Report as JSON
     #[arg(long)]
     json: bool,
@@ -167,7 +168,7 @@ fn draw(label: &str, histogram: Option<&Histogram>) {
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     let resources = Resources { memory: BUILD_MEMORY, threads: None, told: None };
-    let opened = input::open(&args.inputs, &args.cache, resources)?;
+    let opened = input::open(&args.inputs, &args.cache.cache(), resources)?;
     let cloud = match &opened.input {
         Input::Cloud(cloud) => cloud,
         Input::Grid(grid) => return grid_info(grid, args.json),

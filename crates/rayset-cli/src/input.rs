@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use rayset::build::{BuildError, GridBuildError};
-use rayset_inputs::{CacheArgs, Host, Opened};
+use rayset_inputs::{Cache, Host, Opened};
 
 use crate::budget::{self, Budget};
 use crate::interrupts::TemporaryFolder;
@@ -25,14 +25,14 @@ pub(crate) struct Resources<'a> {
 
 /// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points,
 /// folders and patterns.
-pub(crate) fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
+pub(crate) fn open(inputs: &[PathBuf], cache: &Cache, resources: Resources<'_>) -> Result<Opened> {
     open_hearing(inputs, cache, resources, None)
 }
 
 /// The same; `heard` is told what is remarked, too.
 pub(crate) fn open_hearing(
     inputs: &[PathBuf],
-    cache: &CacheArgs,
+    cache: &Cache,
     resources: Resources<'_>,
     heard: Option<&(dyn Fn(&str) + Sync)>,
 ) -> Result<Opened> {

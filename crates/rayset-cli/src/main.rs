@@ -19,6 +19,7 @@ mod generate;
 mod histogram;
 mod info;
 mod input;
+mod input_args;
 mod interrupts;
 mod manual;
 mod memory;

@@ -1,64 +1,39 @@
-//! How inputs are built that have not been built before: the options of `rayset build` that decide
-//! what is seen.
+//! How inputs are built that have not been built before: choices of a build that decide what is
+//! seen.
 
-use clap::Args;
 use rayset::build::BuildOptions;
 use rayset::points::ReadOptions;
 use rayset::volumes::RawLayout;
 
 use crate::values;
 
-/// Options of what is built of an input; clouds, grids and scenes have been built with theirs.
-#[derive(Args, Clone, Default, Debug)]
-#[command(next_help_heading = "Building of inputs that were not built before")]
+/// What is built of an input; clouds, grids and scenes have been built with theirs. `None` leaves a
+/// choice to the input.
+#[derive(Clone, Default, Debug)]
 pub struct BuildChoices {
-    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; -
-    /// leaves one out
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
-    pub(crate) columns: Option<Vec<String>>,
-    /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by
-    /// default
-    #[arg(long, value_name = "N")]
-    pub(crate) volume_index: Option<u64>,
-    /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars,
-    /// black-holes or PartType7
-    #[arg(long, value_delimiter = ',')]
-    particles: Option<Vec<String>>,
-    /// Columns to keep, as in intensity,Velocities; `all`, or `none`
-    #[arg(long, value_delimiter = ',')]
-    attributes: Option<Vec<String>>,
-    /// Points to sample on the faces of a mesh
-    #[arg(long)]
-    mesh_points: Option<u64>,
-    /// Radius of influence: a number, a column, or `auto`
-    #[arg(long)]
-    radius: Option<String>,
-    /// Weight: a number or a column
-    #[arg(long)]
-    weight: Option<String>,
-    /// Factor on every coordinate, and on radii of a column
-    #[arg(long)]
-    length_scale: Option<f64>,
-    /// Leave colours out
-    #[arg(long)]
-    no_color: bool,
-    /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need
-    /// be
-    #[arg(long, value_parser = raw_layout)]
-    raw: Option<String>,
-}
-
-/// A layout of voxels, as it was written.
-fn raw_layout(text: &str) -> Result<String, String> {
-    text.parse::<RawLayout>().map(|_| text.to_owned()).map_err(|error| error.to_string())
+    /// Names of the columns of text files, arrays and snapshots in HDF5; `-` leaves one out.
+    pub columns: Option<Vec<String>>,
+    /// Volume to read of a series of them.
+    pub volume_index: Option<u64>,
+    /// Types of particles to read of a snapshot.
+    pub particles: Option<Vec<String>>,
+    /// Columns to keep; `all`, or `none`.
+    pub attributes: Option<Vec<String>>,
+    /// Points to sample on the faces of a mesh.
+    pub mesh_points: Option<u64>,
+    /// Radius of influence: a number, a column, or `auto`.
+    pub radius: Option<String>,
+    /// Weight: a number or a column.
+    pub weight: Option<String>,
+    /// Factor on every coordinate, and on radii of a column.
+    pub length_scale: Option<f64>,
+    /// Whether colours are left out.
+    pub no_color: bool,
+    /// The layout of an input that is nothing but voxels.
+    pub raw: Option<String>,
 }
 
 impl BuildChoices {
-    /// Those that name the columns of text files and of arrays.
-    pub(crate) fn of_columns(columns: Option<Vec<String>>) -> Self {
-        Self { columns, ..Self::default() }
-    }
-
     /// The first option that was given.
     pub(crate) fn given(&self) -> Option<&'static str> {
         let options = [
@@ -126,8 +101,7 @@ impl BuildChoices {
     }
 
     /// The layout of voxels without a header.
-    pub(crate) fn raw(&self) -> Option<RawLayout> {
-        // It was read when it was given.
-        self.raw.as_ref().and_then(|text| text.parse().ok())
+    pub(crate) fn raw(&self) -> anyhow::Result<Option<RawLayout>> {
+        Ok(self.raw.as_ref().map(|text| text.parse()).transpose()?)
     }
 }

@@ -23,7 +23,7 @@ pub mod text;
 pub mod units;
 pub mod values;
 
-pub use self::cache::{CacheArgs, fingerprint};
+pub use self::cache::{Cache, fingerprint};
 pub use self::choices::BuildChoices;
 pub use self::columns::{
     Columns, customary as customary_columns, of_all as all_columns, wanted as wanted_columns,

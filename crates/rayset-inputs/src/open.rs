@@ -15,7 +15,7 @@ use rayset::storage;
 use rayset::volumes;
 use rayset::{Cloud, Grid};
 
-use super::cache::{self, CacheArgs, Found, Name, Place};
+use super::cache::{self, Cache, Found, Name, Place};
 use super::columns;
 use super::files::{self, Files};
 use super::kinds::{self, Built};
@@ -58,7 +58,7 @@ pub struct Resources<'a> {
 
 /// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points,
 /// folders and patterns.
-pub fn open(inputs: &[PathBuf], cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
+pub fn open(inputs: &[PathBuf], cache: &Cache, resources: Resources<'_>) -> Result<Opened> {
     let files = files::expand(inputs, resources.host)?;
     if let [file] = files.paths.as_slice() {
         if let Some(option) = cache.choices.given()
@@ -96,12 +96,12 @@ fn built(path: &Path) -> Result<Input> {
 }
 
 /// Builds files of points or voxels, unless that has been done before.
-fn of_raw(inputs: &[PathBuf], files: &Files, cache: &CacheArgs, resources: Resources<'_>) -> Result<Opened> {
-    let options = format!("{} strict {}", cache.choices.key(), cache.strict());
+fn of_raw(inputs: &[PathBuf], files: &Files, cache: &Cache, resources: Resources<'_>) -> Result<Opened> {
+    let options = format!("{} strict {}", cache.choices.key(), cache.strict);
     let name = Name::of(inputs, &files.paths, &options)?;
     // A pipe has other bytes the next time.
     let is_pipe = |file: &PathBuf| matches!(storage::look(file), Ok(storage::Named::Other));
-    let nothing = CacheArgs::none();
+    let nothing = Cache::none();
     let keeping = if files.paths.iter().any(is_pipe) { &nothing } else { cache };
     if let Some(opened) = kept(files, keeping.find(&name), resources.host) {
         return Ok(opened);
@@ -221,7 +221,7 @@ impl PulledIn {
 /// A build of files of points, or of a volume.
 struct Work<'a> {
     files: &'a Files,
-    cache: &'a CacheArgs,
+    cache: &'a Cache,
     resources: Resources<'a>,
     said: Remembering<'a>,
 }
@@ -231,7 +231,7 @@ impl Work<'_> {
     fn build(&mut self, output: &Path) -> Result<PulledIn> {
         self.said.forget();
         let choices = &self.cache.choices;
-        if choices.raw().is_none() && !has_volume(&self.files.paths)? {
+        if choices.raw.is_none() && !has_volume(&self.files.paths)? {
             if let Some(index) = choices.volume_index {
                 bail!("--volume-index {index} is for volumes, and these are points");
             }
@@ -249,7 +249,7 @@ impl Work<'_> {
         let choices = &self.cache.choices;
         let options = choices.applied(BuildOptions::default().with_memory_bytes(memory))?;
         let threads = self.resources.threads.unwrap_or(options.threads);
-        let points = open_points(self.files, &choices.read_options(), self.cache.strict(), &self.said)?;
+        let points = open_points(self.files, &choices.read_options(), self.cache.strict, &self.said)?;
         let pulled_in = PulledIn::of(points.files(), self.files)?;
         host.writes(output, &[&*self.files.paths, &*pulled_in.files].concat())?;
         let Points { sources, left_out } = points;
@@ -295,7 +295,8 @@ impl Work<'_> {
             anyhow::Ok(())
         };
         let choices = &self.cache.choices;
-        let open = || match choices.raw() {
+        let raw = choices.raw()?;
+        let open = || match &raw {
             Some(layout) => layout.open(file),
             None => volumes::open(file, choices.volume_index),
         };

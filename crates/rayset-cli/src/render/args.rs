@@ -8,9 +8,9 @@ use clap::Args;
 use super::picture::PictureArgs;
 use super::work::WorkArgs;
 use crate::annotate::AnnotateArgs;
+use crate::input_args::InputArgs;
 use crate::style_args::StyleArgs;
 use rayset::parts::Share;
-use rayset_inputs::CacheArgs;
 use rayset_inputs::style::Style;
 use rayset_inputs::values::{self, Frames};
 
@@ -47,7 +47,7 @@ pub(crate) struct RenderArgs {
     #[arg(long)]
     pub(super) write_scene: Option<PathBuf>,
     #[command(flatten)]
-    pub(super) cache: CacheArgs,
+    pub(super) cache: InputArgs,
     #[command(flatten)]
     pub(super) picture: PictureArgs,
     #[command(flatten)]

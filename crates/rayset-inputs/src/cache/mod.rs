@@ -11,7 +11,6 @@ mod stamp;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use clap::Args;
 use rayset::storage;
 
 use self::entry::{EXTENSION, Listed};
@@ -20,27 +19,22 @@ use self::stamp::Detail;
 pub use self::stamp::fingerprint;
 use crate::choices::BuildChoices;
 use crate::host::{Host, TemporaryFolder};
-use crate::{text, values};
+use crate::text;
 
-/// Options of what is built of inputs, and of where it is kept.
-#[derive(Args, Clone, Default)]
-#[command(next_help_heading = "Cache of inputs that were not built before")]
-pub struct CacheArgs {
-    /// Folder that keeps what is built of points or voxels; the user's folder for caches by default
-    #[arg(long, conflicts_with = "no_cache")]
-    cache: Option<PathBuf>,
-    /// Build into a temporary folder, and keep nothing
-    #[arg(long)]
-    no_cache: bool,
-    /// Most bytes that the cache keeps; 20GiB by default
-    #[arg(long, value_parser = values::size)]
-    cache_limit: Option<u64>,
-    /// Stop at the first damaged file of a folder or pattern, instead of leaving it out and naming
-    /// it at the end
-    #[arg(long, help_heading = "Folders of files")]
-    strict: bool,
-    #[command(flatten)]
-    pub(super) choices: BuildChoices,
+/// What is built of inputs, and where it is kept.
+#[derive(Clone, Default)]
+pub struct Cache {
+    /// The folder that keeps what is built; `None` for the user's folder for caches.
+    pub folder: Option<PathBuf>,
+    /// Whether everything is built into temporary folders, and nothing kept.
+    pub keeps_nothing: bool,
+    /// Most bytes that are kept; `None` for 20 GiB.
+    pub limit: Option<u64>,
+    /// Whether the first damaged file of a folder or pattern is an error, instead of being left out
+    /// and named at the end.
+    pub strict: bool,
+    /// What is built.
+    pub choices: BuildChoices,
 }
 
 /// Bytes that the cache keeps if nothing else is said.
@@ -63,60 +57,42 @@ impl Place {
     }
 }
 
-impl CacheArgs {
+impl Cache {
     /// A cache in `folder`, or in the user's folder for caches.
     #[must_use]
     pub fn in_folder(folder: Option<PathBuf>) -> Self {
-        Self { cache: folder, ..Self::default() }
+        Self { folder, ..Self::default() }
     }
 
     /// None: what is built goes with what was opened.
     #[must_use]
     pub fn none() -> Self {
-        Self { no_cache: true, ..Self::default() }
-    }
-
-    /// The same, with names of the columns of text files and of arrays; `-` leaves one out.
-    #[must_use]
-    pub fn with_columns(self, columns: Option<Vec<String>>) -> Self {
-        Self { choices: BuildChoices::of_columns(columns), ..self }
-    }
-
-    /// The same, with the volume that is read of a series; `None` for the first.
-    #[must_use]
-    pub fn with_volume_index(mut self, index: Option<u64>) -> Self {
-        self.choices.volume_index = index;
-        self
+        Self { keeps_nothing: true, ..Self::default() }
     }
 
     /// The options as one would type them: those that decide what is built, and where it is kept.
     #[must_use]
     pub fn words(&self) -> Vec<String> {
-        let folder = self.cache.as_ref().map(|folder| {
+        let folder = self.folder.as_ref().map(|folder| {
             // A command may be run from elsewhere.
             let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.clone());
             format!("--cache={}", folder.display())
         });
-        let flags = [("--no-cache", self.no_cache), ("--strict", self.strict)];
+        let flags = [("--no-cache", self.keeps_nothing), ("--strict", self.strict)];
         let flags = flags.into_iter().filter(|(_, given)| *given).map(|(name, _)| name.to_owned());
         folder.into_iter().chain(flags).chain(self.choices.words()).collect()
     }
 
-    /// Whether one damaged file of a folder is an error.
-    pub(super) fn strict(&self) -> bool {
-        self.strict
-    }
-
     /// What was built of `inputs` with `options` before, newest first.
     pub(super) fn find(&self, name: &Name) -> Vec<Found> {
-        let folder = self.folder().ok().filter(|_| !self.no_cache);
+        let folder = self.folder().ok().filter(|_| !self.keeps_nothing);
         folder.map_or_else(Vec::new, |folder| Entry::find(&folder, &name.entry, &name.data))
     }
 
     /// A place for what is built: in the cache, or, if that cannot be written to, which is said, in
     /// a temporary folder.
     pub(super) fn place(&self, name: &Name, host: &dyn Host) -> Result<Place> {
-        if self.no_cache {
+        if self.keeps_nothing {
             return temporary(name, host);
         }
         let created = self.folder().and_then(|folder| Entry::create(&folder, &name.entry, &name.data));
@@ -129,14 +105,14 @@ impl CacheArgs {
     }
 
     fn folder(&self) -> Result<PathBuf> {
-        self.cache.clone().map_or_else(user_folder, Ok)
+        self.folder.clone().map_or_else(user_folder, Ok)
     }
 
     /// Removes the entries that were not used for longest until the others fit, and what builds
     /// that were killed have left. The newest entry stays, however large, and so does what others
     /// build or read.
     pub(super) fn prune(&self, kept: &Entry, host: &dyn Host) {
-        let limit = self.cache_limit.unwrap_or(DEFAULT_LIMIT);
+        let limit = self.limit.unwrap_or(DEFAULT_LIMIT);
         let Some(cache) = kept.folder().parent() else { return };
         let mut entries = Listed::all(cache);
         entries.sort_by_key(|entry| std::cmp::Reverse(entry.used));
