@@ -37,6 +37,7 @@ mod siblings;
 mod snapshot;
 mod splats;
 mod stream;
+#[cfg(any(feature = "e57", feature = "las"))]
 mod stretch;
 mod text;
 mod unnamed;
