@@ -9,9 +9,9 @@
 //!
 //! `cloud` makes a cloud of points on a mesh, evenly by area.
 //! `trace` renders in core, on one thread, and prints of each square of `unit` pixels (a block
-//! has 32): column, row, nanoseconds, and the pages that its rays ask for. `far` renders a part from a
-//! simulated object: each request takes the latency, 20 % more or less, and at most 64 are in
-//! flight. Both print JSON.
+//! has 32): column, row, nanoseconds, and the pages that its rays ask for. `far` renders a part
+//! from a simulated object: each request takes the latency, 20 % more or less, and at most 64
+//! are in flight. Both print JSON.
 #![allow(clippy::print_stdout, reason = "it prints what it measured")]
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};

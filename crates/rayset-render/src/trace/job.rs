@@ -29,8 +29,7 @@ use rayset_store::working_set::{PageClient, Reuse};
 const MOST_WAITING: usize = 32;
 /// With this many or fewer, threads that have left are called back.
 const FEW_WAITING: usize = MOST_WAITING / 2;
-/// The caller is woken at most this often while few tiles wait: waking a thread costs as much as a
-/// small tile.
+/// The caller is woken at most this often while few tiles wait: waking costs a small tile's time.
 const BETWEEN_CALLS: Duration = Duration::from_millis(5);
 /// The caller looks for tiles of its own accord after this long.
 const MOST_UNSEEN: Duration = Duration::from_millis(20);
@@ -173,8 +172,7 @@ impl Job {
 
     // For the caller of the render.
 
-    /// Waits for a tile to hand out, or for the end of the render, when no thread works on it any
-    /// more.
+    /// Waits for a tile to hand out, or for the end: no thread works on the render any more.
     pub(super) fn next(&self) -> Next {
         let mut state = self.lock();
         loop {
@@ -367,8 +365,7 @@ impl Job {
         Output { tile, pass: pass as u32, pixels, layers: known }
     }
 
-    /// What the rays of a tile have seen in earlier passes; also restores the thread's layers to
-    /// that state.
+    /// What the rays of a tile have seen in earlier passes; the thread's layers become those, too.
     fn earlier(&self, tile: usize, layers: Option<&mut Layers>) -> TileSums {
         let earlier = self.earlier.get(tile);
         let known = earlier.and_then(|sums| sums.lock().unwrap_or_else(PoisonError::into_inner).clone());
