@@ -11,7 +11,11 @@ const CRATES: [(&str, &[&str], &[&str]); 6] = [
         &["parse", "setters", "sync", "cancel", "geometry", "regular_file", "text_numbers", "numbers"],
     ),
     ("rayset-store", &["rayset-base"], &["storage", "output", "spill", "container", "working_set"]),
-    ("rayset-files", &["rayset-base", "rayset-store"], &["points", "paged_file", "octree", "grid", "paged_files"]),
+    (
+        "rayset-files",
+        &["rayset-base", "rayset-store"],
+        &["points", "paged_file", "octree", "grid", "paged_files"],
+    ),
     (
         "rayset-formats",
         &["rayset-base", "rayset-store", "rayset-files"],
