@@ -20,6 +20,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
+use rayset::PagedFiles;
 use rayset::field::Kernel;
 use rayset::geometry::{Aabb, DVec3};
 use rayset::octree::Cloud;
@@ -32,7 +33,6 @@ use rayset::trace::predict::{NoPredictor, Predictor};
 use rayset::trace::reference::PointField;
 use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind, Transport};
-use rayset::PagedFiles;
 use rayset::working_set::{Limits, Statistics, WorkingSet};
 
 use crate::engine::{self, IndexField, Picture};

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
+use rayset::PagedFiles;
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::octree::Cloud;
 use rayset::scene::{Camera, Light, LightKind, Lighting, Node, Operator, RenderSettings, Scene, Shape, Step};
 use rayset::trace::{ExecSettings, Session};
 use rayset::working_set::read::{self, BackendKind};
-use rayset::PagedFiles;
 use rayset::working_set::{Limits, WorkingSet};
 
 use super::object;
