@@ -103,6 +103,33 @@ fn crates_and_modules_know_only_those_before_them() {
     }
 }
 
+/// `cargo test` turns features of dependencies on for the program, too: what tests ask for beyond it
+/// would be tested and not shipped.
+#[test]
+fn tests_turn_no_feature_on_in_what_is_shipped() {
+    let mut manifests = Vec::new();
+    for entry in std::fs::read_dir(of_crate("")).expect("the folder of crates") {
+        manifests.push(std::fs::read_to_string(entry.expect("an entry").path().join("Cargo.toml")));
+    }
+    let manifests: Vec<String> = manifests.into_iter().map(|text| text.expect("a manifest")).collect();
+    assert!(manifests.len() >= 10, "{} crates", manifests.len());
+    let name = |line: &str| line.split(['.', ' ']).next().unwrap_or_default().to_owned();
+    let lines = |of_tests: bool| {
+        let sections = manifests.iter().flat_map(|text| text.split("\n[")).filter(move |section| {
+            let head = section.lines().next().unwrap_or_default();
+            head.ends_with("dependencies]") && head.contains("dev-") == of_tests
+        });
+        sections.flat_map(|section| section.lines().skip(1))
+    };
+    let shipped: Vec<String> = lines(false).map(name).collect();
+    assert!(shipped.contains(&"serde_json".to_owned()) && shipped.contains(&"laz".to_owned()));
+    let beyond: Vec<&str> = lines(true)
+        .filter(|line| line.contains("features") && !line.contains("\"internals\""))
+        .filter(|line| shipped.contains(&name(line)))
+        .collect();
+    assert!(beyond.is_empty(), "{beyond:?}");
+}
+
 /// They are compiled with the feature that opens the rest, for the sake of tests.
 #[test]
 fn examples_use_the_public_surface_alone() {
