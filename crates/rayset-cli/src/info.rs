@@ -32,7 +32,7 @@ pub(crate) struct InfoArgs {
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     #[command(flatten)]
-    cache: InputArgs,
+    input: InputArgs,
     /// Report as JSON
     #[arg(long)]
     json: bool,
@@ -168,7 +168,7 @@ fn draw(label: &str, histogram: Option<&Histogram>) {
 
 pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     let resources = Resources { memory: BUILD_MEMORY, threads: None, told: None };
-    let opened = input::open(&args.inputs, &args.cache.cache(), resources)?;
+    let opened = input::open(&args.inputs, &args.input.cache(), resources)?;
     let cloud = match &opened.input {
         Input::Cloud(cloud) => cloud,
         Input::Grid(grid) => return grid_info(grid, args.json),

@@ -47,13 +47,14 @@ pub trait PagedHeader: Clone + Send + Sync + Sized {
 pub struct PagedFile<H> {
     /// The path of the file, an address without its secrets; only a name for messages if it is not
     /// a file on disk.
-    pub path: PathBuf,
-    /// What opens it again.
-    pub address: PathBuf,
+    pub(crate) path: PathBuf,
+    /// What opens it again: of a signed address with its query, which grants access and is not to be
+    /// shown.
+    pub(crate) address: PathBuf,
     /// `None` for a file on disk, which is opened by its path.
-    pub storage: Option<Arc<dyn Storage>>,
+    pub(crate) storage: Option<Arc<dyn Storage>>,
     /// What the file says.
-    pub header: H,
+    pub(crate) header: H,
 }
 
 impl<H: PagedHeader> PagedFile<H> {
@@ -132,7 +133,7 @@ pub trait HasPages: Send + Sync {
     type Header: PagedHeader;
 
     /// Its file, as it is stored.
-    fn file(&self) -> &PagedFile<Self::Header>;
+    fn stored_file(&self) -> &PagedFile<Self::Header>;
 }
 
 /// The pages of an open file, for the working set.
@@ -151,19 +152,19 @@ impl<T: HasPages> FilePages<T> {
 
 impl<T: HasPages> PageSource for FilePages<T> {
     fn pages(&self) -> u32 {
-        self.of.file().header.pages()
+        self.of.stored_file().header.pages()
     }
 
     fn page_bytes(&self) -> usize {
-        self.of.file().header.page_bytes()
+        self.of.stored_file().header.page_bytes()
     }
 
     fn kind(&self, page: u32) -> Kind {
-        self.of.file().header.kind_of_page(page)
+        self.of.stored_file().header.kind_of_page(page)
     }
 
     fn offset(&self, page: u32) -> u64 {
-        self.of.file().header.page_offset(page)
+        self.of.stored_file().header.page_offset(page)
     }
 
     fn storage(&self) -> Arc<dyn Storage> {
@@ -171,10 +172,10 @@ impl<T: HasPages> PageSource for FilePages<T> {
     }
 
     fn check(&self, page: u32, bytes: &[u8]) -> Result<(), String> {
-        self.of.file().header.check_page(page, bytes).map_err(|e| e.to_string())
+        self.of.stored_file().header.check_page(page, bytes).map_err(|e| e.to_string())
     }
 
     fn name(&self) -> String {
-        self.of.file().path.display().to_string()
+        self.of.stored_file().path.display().to_string()
     }
 }

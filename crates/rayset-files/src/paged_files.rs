@@ -94,7 +94,7 @@ impl<T: HasPages + 'static> Known<T> {
 
     fn open(&mut self, file: &Arc<T>, direct: bool, pages: &WorkingSet) -> io::Result<()> {
         if self.find(file).is_none() {
-            let of = file.file();
+            let of = file.stored_file();
             let storage = match &of.storage {
                 Some(storage) => storage.clone(),
                 None => Arc::new(FileStorage::open(&of.path, direct)?),

@@ -1,6 +1,7 @@
 //! How inputs are built that have not been built before: choices of a build that decide what is
 //! seen.
 
+use anyhow::Context;
 use rayset::build::BuildOptions;
 use rayset::points::ReadOptions;
 use rayset::volumes::RawLayout;
@@ -8,7 +9,7 @@ use rayset::volumes::RawLayout;
 use crate::values;
 
 /// What is built of an input; clouds, grids and scenes have been built with theirs. `None` leaves a
-/// choice to the input.
+/// choice to the input. The cache tells choices by their `Debug` text.
 #[derive(Clone, Default, Debug)]
 pub struct BuildChoices {
     /// Names of the columns of text files, arrays and snapshots in HDF5; `-` leaves one out.
@@ -102,6 +103,7 @@ impl BuildChoices {
 
     /// The layout of voxels without a header.
     pub(crate) fn raw(&self) -> anyhow::Result<Option<RawLayout>> {
-        Ok(self.raw.as_ref().map(|text| text.parse()).transpose()?)
+        let layout = self.raw.as_ref().map(|text| text.parse()).transpose();
+        layout.context("the layout of voxels (--raw)")
     }
 }

@@ -47,7 +47,7 @@ pub(crate) struct RenderArgs {
     #[arg(long)]
     pub(super) write_scene: Option<PathBuf>,
     #[command(flatten)]
-    pub(super) cache: InputArgs,
+    pub(super) input: InputArgs,
     #[command(flatten)]
     pub(super) picture: PictureArgs,
     #[command(flatten)]

@@ -53,7 +53,7 @@ impl Shot {
             threads: args.work.threads,
             told: None,
         };
-        let opened = input::open(&args.inputs, &args.cache.cache(), resources)?;
+        let opened = input::open(&args.inputs, &args.input.cache(), resources)?;
         let mut size = args.picture.size();
         let mut sheet = None;
         if !matches!(opened.input, Input::Scene(_)) {

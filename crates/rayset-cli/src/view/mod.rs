@@ -81,7 +81,7 @@ pub(crate) struct ViewArgs {
     #[arg(long, value_name = "NAME")]
     allow_host: Vec<String>,
     #[command(flatten)]
-    cache: InputArgs,
+    input: InputArgs,
     #[command(flatten)]
     style: StyleArgs<false>,
 }
@@ -118,7 +118,7 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
         Resources { memory: args.memory - SERVER_BYTES, threads: args.threads, told: Some(&told) };
     let remarks = Mutex::new(Vec::new());
     let heard = |text: &str| remarks.lock().unwrap_or_else(PoisonError::into_inner).push(text.to_owned());
-    let opened = input::open_hearing(&inputs, &args.cache.cache(), resources, Some(&heard))?;
+    let opened = input::open_hearing(&inputs, &args.input.cache(), resources, Some(&heard))?;
     let mut session = Session::builder().memory(args.memory - PROCESS_BYTES - SERVER_BYTES - picture_bytes);
     if let Some(threads) = args.threads {
         session = session.threads(threads);
@@ -202,7 +202,7 @@ fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject>
         Input::Cloud(cloud) => (cloud.path().to_owned(), Looks::of_cloud(cloud)?),
         Input::Grid(grid) => (grid.path().to_owned(), Looks::of_grid(grid, &args.style.0)?),
     };
-    let looks = LooksOfFile::new(looks, args.style.0.clone(), args.cache.cache().words(), inputs);
+    let looks = LooksOfFile::new(looks, args.style.0.clone(), args.input.cache().words(), inputs);
     let Chosen { scene, line, stance, .. } = looks.first()?;
     remark(&line);
     let file = SceneFile::parse(&path, &scene.to_string()).map_err(|error| anyhow::anyhow!(error.what))?;

@@ -29,6 +29,7 @@ impl std::fmt::Debug for Grid {
     }
 }
 
+#[doc(hidden)]
 impl PagedHeader for GridHeader {
     const FILE: FileKind = FileKind::Grid;
     const SECTIONS: [SectionKind; 2] = [SectionKind::VOXELS, SectionKind::RANGES];
@@ -71,10 +72,11 @@ impl PagedHeader for GridHeader {
     }
 }
 
+#[doc(hidden)]
 impl HasPages for Grid {
     type Header = GridHeader;
 
-    fn file(&self) -> &PagedFile<GridHeader> {
+    fn stored_file(&self) -> &PagedFile<GridHeader> {
         &self.file
     }
 }

@@ -31,6 +31,7 @@ impl std::fmt::Debug for Cloud {
     }
 }
 
+#[doc(hidden)]
 impl PagedHeader for Header {
     const FILE: FileKind = FileKind::Cloud;
     const SECTIONS: [SectionKind; 2] = [SectionKind::POINTS, SectionKind::NODES];
@@ -67,10 +68,11 @@ impl PagedHeader for Header {
     }
 }
 
+#[doc(hidden)]
 impl HasPages for Cloud {
     type Header = Header;
 
-    fn file(&self) -> &PagedFile<Header> {
+    fn stored_file(&self) -> &PagedFile<Header> {
         &self.as_stored().file
     }
 }
@@ -171,7 +173,7 @@ impl Cloud {
     #[doc(hidden)]
     pub fn for_each_run(&self, mut visit: impl FnMut(u32, Run<'_>)) -> Result<(), ScanError> {
         let header = self.header();
-        self.file().for_each_page(|page, bytes| {
+        self.stored_file().for_each_page(|page, bytes| {
             if header.kind_of_page(page) == Kind::Points {
                 let runs = PointPage::trusted(bytes, header);
                 (0..runs.len()).for_each(|index| visit(page, runs.run(index)));

@@ -24,6 +24,9 @@ impl Cloud {
     /// [`ScanError`] if a page cannot be read or is damaged.
     pub fn nearest(&self, place: DVec3, within: f64) -> Result<PointBatch, ScanError> {
         let mut found = self.empty_batch();
+        if self.header().points == 0 {
+            return Ok(found);
+        }
         let mut pages = Pages::new(self)?;
         let waiting = BinaryHeap::new();
         let mut lookup = Lookup { cloud: self, place, nearest: within * within, found: &mut found, waiting };
@@ -33,9 +36,8 @@ impl Cloud {
         Ok(found)
     }
 
-    /// The error for a node page whose records do not make a tree.
-    fn broken(&self, node_page: u32) -> ScanError {
-        let page = self.header().point_pages + node_page;
+    /// The error for a page that belongs to nodes that make no tree.
+    fn broken(&self, page: u32) -> ScanError {
         let (path, offset) = (self.path().to_owned(), self.header().page_offset(page));
         let source = PageError::Content { what: "nodes that are no tree" };
         ScanError::Damaged { path, page, offset, source }
@@ -113,13 +115,13 @@ struct Pages<'a> {
 
 impl<'a> Pages<'a> {
     fn new(cloud: &'a Cloud) -> Result<Self, ScanError> {
-        Ok(Self { cloud, file: cloud.file().reopened()?, nodes: None })
+        Ok(Self { cloud, file: cloud.stored_file().reopened()?, nodes: None })
     }
 
     fn read(&self, kind: SectionKind, index: u32) -> Result<Vec<u8>, ScanError> {
         let first = if kind == SectionKind::POINTS { 0 } else { self.cloud.header().point_pages };
         let (offset, bytes) = self.file.page(kind, index)?;
-        self.cloud.file().check(first + index, offset, &bytes)?;
+        self.cloud.stored_file().check(first + index, offset, &bytes)?;
         Ok(bytes)
     }
 }
@@ -142,7 +144,7 @@ impl NodePages for Pages<'_> {
     }
 
     fn no_tree(&mut self, page: u32) -> Result<(), ScanError> {
-        Err(self.cloud.broken(page))
+        Err(self.cloud.broken(self.cloud.header().point_pages + page))
     }
 }
 
@@ -196,7 +198,7 @@ impl<'t> Visitor<Pages<'t>> for Lookup<'_> {
 
     fn visit(&mut self, node: &Node, walk: &mut Walk, pages: &mut Pages<'t>) -> Result<Visit, ScanError> {
         if !walk.may_look_at_runs_of(node, self.cloud.header()) {
-            return Err(self.cloud.broken(node.first_child.page));
+            return Err(self.cloud.broken(node.own.first_page));
         }
         self.own_points(node.own, pages)?;
         Ok(Visit::Open)

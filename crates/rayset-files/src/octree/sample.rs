@@ -34,10 +34,10 @@ impl Cloud {
         }
         let read = pages.min(MOST_PAGES);
         let stride = self.sample_stride(most) as usize;
-        let file = self.file().reopened()?;
+        let file = self.stored_file().reopened()?;
         let chosen: Vec<u32> = (0..read).map(|at| ((2 * at + 1) * pages / (2 * read)) as u32).collect();
         file.each_of(SectionKind::POINTS, &chosen, |page, offset, bytes| {
-            self.file().check(page, offset, bytes)?;
+            self.stored_file().check(page, offset, bytes)?;
             let runs = PointPage::trusted(bytes, header);
             let mut before = 0;
             for run in (0..runs.len()).map(|index| runs.run(index)) {

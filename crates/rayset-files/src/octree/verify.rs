@@ -96,7 +96,7 @@ fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> {
     let mut runs: Vec<RunFacts> = Vec::new();
     let mut first_run_of_page: Vec<usize> = Vec::new();
     let mut nodes: Vec<Vec<Node>> = Vec::new();
-    cloud.file().for_each_page(|page, bytes| {
+    cloud.stored_file().for_each_page(|page, bytes| {
         report.pages += 1;
         if header.kind_of_page(page) == Kind::Octree {
             if depth == Depth::Deep {

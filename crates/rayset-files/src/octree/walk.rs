@@ -2,8 +2,9 @@
 //! what is opened, and where the walk ends ([`Visitor`]), and from where records of nodes are read
 //! ([`NodePages`]).
 //!
-//! A file whose checksums hold may still contradict itself. No walk meets more nodes or runs than
-//! the file has, so it ends, whatever the records say.
+//! A file whose checksums hold may still contradict itself. No walk meets more nodes than the file
+//! has, nor looks at more runs if its visitor asks [`Walk::may_look_at_runs_of`]: so it ends,
+//! whatever the records say.
 
 use std::ops::Deref;
 
@@ -28,8 +29,8 @@ pub trait NodePages {
     /// If it cannot be read.
     fn page(&mut self, page: u32) -> Result<Option<Self::Page>, Self::Error>;
 
-    /// Called for a page whose records make no tree. If this is no error, the walk goes on without
-    /// them.
+    /// Called for a page whose records make no tree, or more nodes than the file has. If this is no
+    /// error, the walk goes on without them.
     ///
     /// # Errors
     /// What is wrong with the file.
@@ -62,20 +63,27 @@ pub trait Visitor<P: NodePages> {
     fn visit(&mut self, node: &Node, walk: &mut Walk, pages: &mut P) -> Result<Visit, P::Error>;
 }
 
-/// A walk through an octree, which may be interrupted and go on.
-#[derive(Clone, Copy, Debug, Default)]
+/// A walk through an octree. It may stop where its visitor has nothing to visit for now, and go on
+/// later; after an error it has to begin again.
+#[derive(Debug)]
 pub struct Walk {
-    /// Number of nodes met.
+    /// Number of nodes met, the root among them.
     nodes: u64,
     /// Number of own runs of nodes that were looked at.
     runs: u64,
 }
 
+impl Default for Walk {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Walk {
-    /// A walk at its beginning.
+    /// A walk that has met the root, or is about to.
     #[must_use]
     pub fn new() -> Self {
-        Self::default()
+        Self { nodes: 1, runs: 0 }
     }
 
     /// Meets the root. There is none if there are no points.
@@ -87,7 +95,7 @@ impl Walk {
         pages: &mut P,
         visitor: &mut impl Visitor<P>,
     ) -> Result<(), P::Error> {
-        *self = Self { nodes: 1, runs: 0 };
+        *self = Self::new();
         if pages.header().points == 0 {
             return Ok(());
         }

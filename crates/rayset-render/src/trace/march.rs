@@ -41,8 +41,8 @@ pub(super) struct March<'p> {
 /// What is done with the samples of a packet: the light of rays from the eye, what is left of light
 /// on its way, surfaces that are crossed.
 pub(super) trait SlabVisitor {
-    /// Called where samples are skipped that are empty on all rays. Returns the lanes of those in
-    /// `going` that end there.
+    /// Called where samples are skipped that are empty on all rays, but not behind the last slab.
+    /// Returns the lanes of those in `going` that end there.
     fn passed_nothing(&mut self, _going: u64) -> u64 {
         0
     }

@@ -91,7 +91,7 @@ impl<'a> TileQueue<'a> {
                 || deferred.attempts >= deferral.policy.impatient_attempts();
             return Some(self.attempt(&deferred, waits, deferral));
         }
-        if deferral.policy.tries_again() {
+        if deferral.policy.retries_without_waiting() {
             self.wait_for_any();
             if let Some(ready) = self.deferred.iter().position(Deferred::is_ready) {
                 self.deferred.swap(0, ready);
@@ -105,7 +105,7 @@ impl<'a> TileQueue<'a> {
     /// many attempts, one that waits for all.
     fn attempt_with_page(&self, deferred: &Deferred, deferral: Deferral) -> Attempt<'a> {
         let Deferral { policy, .. } = deferral;
-        let waits = !policy.tries_again() || deferred.attempts >= policy.impatient_attempts();
+        let waits = !policy.retries_without_waiting() || deferred.attempts >= policy.impatient_attempts();
         if !waits && let Some(Lacking { object, page }) = &deferred.lacking {
             // If it cannot be had, the attempt will meet the same error.
             let _ = self.pages.retain(object, *page);

@@ -9,6 +9,7 @@ use rayset::container::{
     BLOCK_BYTES, FileHeader, FileKind, PAGE_HEAD_BYTES, PageHead, PageKind, SectionKind, reseal,
 };
 use rayset::field::Kernel;
+use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
 use rayset::octree::build::BuildOptions;
 use rayset::octree::layout::{NODE_BYTES, NodeRef};
@@ -132,7 +133,10 @@ fn an_octree_that_is_no_tree_is_an_error_in_bounded_time() {
     let leaf = NodePage::trusted(page).get(usize::from(header.root.index)).expect("a root");
     for levels_are_right in [false, true] {
         const LEVELS: u16 = 20;
-        let mut records = vec![Node { level: if levels_are_right { LEVELS as u8 } else { 0 }, ..leaf }; 8];
+        // A leaf has no children, and nobody checks where they are.
+        let nowhere = NodeRef { page: u32::MAX, index: u16::MAX };
+        let level = if levels_are_right { LEVELS as u8 } else { 0 };
+        let mut records = vec![Node { level, first_child: nowhere, ..leaf }; 8];
         for group in 0..LEVELS {
             let level = if levels_are_right { (LEVELS - 1 - group) as u8 } else { 0 };
             let first_child = NodeRef { page: 0, index: 8 * group };
@@ -159,6 +163,8 @@ fn an_octree_that_is_no_tree_is_an_error_in_bounded_time() {
         let outcome = picture(&scene, &camera(), &settings(8, 8), &exec, &paged(&scene, 1 << 30));
         let message = outcome.expect_err("no tree is walked for ever").to_string();
         assert!(message.contains("octree") && message.contains("c.rset"), "{message}");
+        let message = cloud.nearest(DVec3::ZERO, 10.0).expect_err("nor searched").to_string();
+        assert!(message.contains("no tree") && message.contains("c.rset"), "{message}");
         let message = cloud.verify(Depth::Deep).expect_err("no tree is checked for ever").to_string();
         assert!(message.contains("node"), "{message}");
     }

@@ -157,7 +157,7 @@ fn more_wide_points_than_a_node_keeps_runs_of_by_themselves_are_all_seen() {
     let cloud = cloud(folder.path(), (position, radius));
     let mut most_own_runs = 0;
     cloud
-        .file()
+        .stored_file()
         .for_each_page(|page, bytes| {
             if page >= cloud.header().point_pages {
                 let nodes = NodePage::trusted(bytes);

@@ -128,7 +128,7 @@ impl<'a> Lookahead<'a> {
         // One thread at a time does this; the others have tiles to trace.
         let Ok(mut found) = state.found.try_lock() else { return };
         let here = tile as u32;
-        let patience = state.policy.patience(self.latency());
+        let patience = state.policy.patience(&|| self.latency());
         let first = state.deferred.first_since(Instant::now(), patience).unwrap_or(here);
         self.retire(&mut found, first.min(here));
         if found.next < here {

@@ -1,6 +1,7 @@
 //! How pages are brought in before rays need them: of local files, where a page takes microseconds
 //! or a disk's few milliseconds, or of remote ones, where each read is a round trip. All that
-//! differs between both is here. Neither changes a picture.
+//! differs for a graph as a whole is here. Which files of a mixed graph are remote, the look-ahead
+//! asks of each. Neither policy changes a picture.
 
 use std::ops::Range;
 use std::time::Duration;
@@ -28,8 +29,9 @@ pub(in crate::trace) trait Policy: Send + Sync {
     /// which they are expected to have ended, after so many others. `None` if it does not.
     fn reach(&self, attempts: u32) -> Option<f32>;
 
-    /// How long what tiles that are put off want stays for them, if a page takes `latency`.
-    fn patience(&self, latency: Duration) -> Duration;
+    /// How long what tiles that are put off want stays for them; `latency` says how long a page
+    /// takes.
+    fn patience(&self, latency: &dyn Fn() -> Duration) -> Duration;
 
     /// Whether what a square wanted stays while the next one is traced by one thread alone.
     fn stays_a_square_longer(&self) -> bool;
@@ -42,7 +44,7 @@ pub(in crate::trace) trait Policy: Send + Sync {
 
     /// Whether a tile that was put off is attempted again, once the page that it lacked is there,
     /// without waiting for others.
-    fn tries_again(&self) -> bool;
+    fn retries_without_waiting(&self) -> bool;
 }
 
 /// How rays that are only probed are taken to end.
@@ -86,7 +88,7 @@ impl Policy for Local {
         None
     }
 
-    fn patience(&self, _: Duration) -> Duration {
+    fn patience(&self, _: &dyn Fn() -> Duration) -> Duration {
         Duration::ZERO
     }
 
@@ -108,7 +110,7 @@ impl Policy for Local {
         6
     }
 
-    fn tries_again(&self) -> bool {
+    fn retries_without_waiting(&self) -> bool {
         false
     }
 }
@@ -146,10 +148,10 @@ impl Policy for Remote {
 
     /// If pages were let go, a tile that is put off would have to bring them in again. Longer, all
     /// others would wait for the few pages that take far longer than usual.
-    fn patience(&self, latency: Duration) -> Duration {
+    fn patience(&self, latency: &dyn Fn() -> Duration) -> Duration {
         const LATENCIES: u32 = 4;
         const LEAST: Duration = Duration::from_millis(20);
-        (LATENCIES * latency).max(LEAST)
+        (LATENCIES * latency()).max(LEAST)
     }
 
     fn stays_a_square_longer(&self) -> bool {
@@ -167,7 +169,7 @@ impl Policy for Remote {
         48
     }
 
-    fn tries_again(&self) -> bool {
+    fn retries_without_waiting(&self) -> bool {
         true
     }
 }
