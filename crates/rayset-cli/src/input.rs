@@ -10,7 +10,7 @@ use rayset_inputs::{Cache, Host, Opened};
 use crate::budget::{self, Budget};
 use crate::interrupts::TemporaryFolder;
 use crate::outputs::Outputs;
-use crate::progress::{Meter, Told};
+use crate::progress::{Meter, ProgressCallback};
 use crate::report;
 
 /// The resources that building may use.
@@ -20,7 +20,7 @@ pub(crate) struct Resources<'a> {
     pub(crate) memory: u64,
     pub(crate) threads: Option<usize>,
     /// Is told how far building is.
-    pub(crate) told: Told<'a>,
+    pub(crate) told: ProgressCallback<'a>,
 }
 
 /// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points,

@@ -13,7 +13,7 @@ use crate::report;
 const QUIET: Duration = Duration::from_secs(10);
 
 /// Is told of progress besides: what is being done, how much of it is done, and how much there is.
-pub(crate) type Told<'a> = Option<&'a (dyn Fn(&str, u64, u64) + Sync)>;
+pub(crate) type ProgressCallback<'a> = Option<&'a (dyn Fn(&str, u64, u64) + Sync)>;
 
 /// Shows the progress of a sequence of stages.
 pub(crate) struct Meter<'a> {
@@ -21,7 +21,7 @@ pub(crate) struct Meter<'a> {
     unit: &'static str,
     terminal: bool,
     hidden: bool,
-    told: Told<'a>,
+    told: ProgressCallback<'a>,
 }
 
 struct State {
@@ -43,7 +43,7 @@ impl<'a> Meter<'a> {
     }
 
     /// The same, with somebody else who is told.
-    pub(crate) fn telling(self, told: Told<'a>) -> Self {
+    pub(crate) fn telling(self, told: ProgressCallback<'a>) -> Self {
         Self { told, ..self }
     }
 

@@ -48,8 +48,8 @@ pub struct PagedFile<H> {
     /// The path of the file, an address without its secrets; only a name for messages if it is not
     /// a file on disk.
     pub(crate) path: PathBuf,
-    /// What opens it again: of a signed address with its query, which grants access and is not to be
-    /// shown.
+    /// What opens it again: of a signed address with its query, which grants access and is not to
+    /// be shown.
     pub(crate) address: PathBuf,
     /// `None` for a file on disk, which is opened by its path.
     pub(crate) storage: Option<Arc<dyn Storage>>,

@@ -15,7 +15,7 @@ use rayset::storage;
 use rayset::volumes;
 use rayset::{Cloud, Grid};
 
-use super::cache::{self, Cache, Found, Name, Place};
+use super::cache::{self, BuildTarget, Cache, Found, Name};
 use super::columns;
 use super::files::{self, Files};
 use super::kinds::{self, Built};
@@ -42,7 +42,7 @@ pub struct Opened {
     /// The files, and what was built of them.
     pub files: Vec<PathBuf>,
     /// Removed with this, if nothing is kept.
-    _place: Option<Place>,
+    _place: Option<BuildTarget>,
 }
 
 /// The resources that building may use.
@@ -110,7 +110,7 @@ fn of_raw(inputs: &[PathBuf], files: &Files, cache: &Cache, resources: Resources
     let mut place = keeping.place(&name, resources.host)?;
     let mut work = Work { files, cache, resources, said: Remembering::of(resources.host) };
     let pulled_in = match (work.build(place.path()), &place) {
-        (Err(error), Place::Kept(_)) if no_room(&error) => {
+        (Err(error), BuildTarget::Kept(_)) if no_room(&error) => {
             resources.host.remark(&format!("nothing is kept: {error:#}; --cache names another folder"));
             place = nothing.place(&name, resources.host)?;
             work.build(place.path())?
@@ -121,7 +121,7 @@ fn of_raw(inputs: &[PathBuf], files: &Files, cache: &Cache, resources: Resources
     let all: Vec<PathBuf> = [&*files.paths, &*pulled_in.files].concat();
     let seconds = started.elapsed().as_secs_f64();
     match &mut place {
-        Place::Kept(entry) => {
+        BuildTarget::Kept(entry) => {
             // The disk may be full just now: what was built is there all the same.
             match entry.complete(&all, pulled_in.stamps, &work.said.into_inner()) {
                 Ok(()) => {
@@ -136,7 +136,7 @@ fn of_raw(inputs: &[PathBuf], files: &Files, cache: &Cache, resources: Resources
                 )),
             }
         }
-        Place::Temporary { .. } => {
+        BuildTarget::Temporary { .. } => {
             resources.host.note(&format!("built in {seconds:.1} s; nothing is kept"));
         }
     }
@@ -153,7 +153,7 @@ fn kept(files: &Files, found: Vec<Found>, host: &dyn Host) -> Option<Opened> {
                 remarks.iter().for_each(|remark| host.remark(remark));
                 host.note(&format!("using {}, built before", path.display()));
                 let files = with([&*files.paths, &*pulled_in].concat(), &path);
-                return Some(Opened { input, files, _place: Some(Place::Kept(entry)) });
+                return Some(Opened { input, files, _place: Some(BuildTarget::Kept(entry)) });
             }
             Err(error) => {
                 host.remark(&format!("what was kept of this input is damaged and made again: {error:#}"));

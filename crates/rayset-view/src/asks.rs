@@ -23,21 +23,21 @@ pub(crate) enum Ask {
 
 /// The scene that a page sees, for those who ask about it.
 #[derive(Clone, Default)]
-pub(crate) struct Current(Arc<Mutex<Option<Seen>>>);
+pub(crate) struct Current(Arc<Mutex<Option<VisibleScene>>>);
 
 /// A scene that is seen.
 #[derive(Clone)]
-pub(crate) struct Seen {
+pub(crate) struct VisibleScene {
     pub(crate) file: Arc<SceneFile>,
     pub(crate) scene: PreparedScene,
 }
 
 impl Current {
-    pub(crate) fn set(&self, seen: Option<Seen>) {
+    pub(crate) fn set(&self, seen: Option<VisibleScene>) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = seen;
     }
 
-    fn get(&self) -> Option<Seen> {
+    fn get(&self) -> Option<VisibleScene> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }

@@ -12,13 +12,13 @@ use rayset::{
 };
 use serde_json::Value;
 
-use crate::asks::{Current, Seen};
+use crate::asks::{Current, VisibleScene};
 use crate::compose::{self, Opened};
 use crate::pacing::Pacing;
-use crate::payload::{self, Depths, Rectangle, Shown};
+use crate::payload::{self, Depths, DisplayPicture, Rectangle};
 use crate::picking::clouds;
 use crate::protocol::{MOST_EDGE, Show, ToPage};
-use crate::wanted::{Grade, Order, Wanted};
+use crate::wanted::{Grade, Order, PageWish};
 
 /// Finished parts of a picture are sent at most this often.
 const BETWEEN_PARTS: Duration = Duration::from_millis(40);
@@ -43,7 +43,7 @@ pub(crate) type Send = Box<dyn Fn(Outgoing) -> bool + std::marker::Send>;
 pub(crate) struct Frames {
     session: Session,
     opened: Arc<Opened>,
-    wanted: Arc<Wanted>,
+    wanted: Arc<PageWish>,
     send: Send,
     most_pixels: u64,
     /// What was shown last at rest.
@@ -54,7 +54,7 @@ pub(crate) struct Frames {
     /// Told of what is shown, for those who ask about it.
     current: Current,
     pacing: Pacing,
-    shown: Shown,
+    shown: DisplayPicture,
     depths: Depths,
 }
 
@@ -67,8 +67,8 @@ struct Prepared {
 }
 
 impl Prepared {
-    fn seen(&self) -> Seen {
-        Seen { file: self.file.clone(), scene: self.scene.clone() }
+    fn seen(&self) -> VisibleScene {
+        VisibleScene { file: self.file.clone(), scene: self.scene.clone() }
     }
 
     /// Whether shading of the whole picture follows once it is traced.
@@ -122,11 +122,11 @@ impl Frames {
         session: Session,
         opened: Arc<Opened>,
         most_pixels: u64,
-        wanted: Arc<Wanted>,
+        wanted: Arc<PageWish>,
         current: Current,
         send: Send,
     ) -> Self {
-        let (pacing, shown, depths) = (Pacing::new(), Shown::default(), Depths::default());
+        let (pacing, shown, depths) = (Pacing::new(), DisplayPicture::default(), Depths::default());
         let (prepared, draft) = (None, None);
         Self { session, opened, most_pixels, wanted, send, prepared, draft, current, pacing, shown, depths }
     }
@@ -333,7 +333,7 @@ impl Frames {
 }
 
 /// Puts a tile in its place.
-fn put(shown: &mut Shown, finished: &FinishedTile<'_>, encode: &impl Fn([f32; 4]) -> [u8; 4]) {
+fn put(shown: &mut DisplayPicture, finished: &FinishedTile<'_>, encode: &impl Fn([f32; 4]) -> [u8; 4]) {
     let tile = finished.tile;
     for (row, pixels) in finished.pixels.chunks(tile.width as usize).enumerate() {
         shown.set_row(tile.x, tile.y + row as u32, pixels.iter().map(|&pixel| encode(pixel)));
@@ -343,12 +343,12 @@ fn put(shown: &mut Shown, finished: &FinishedTile<'_>, encode: &impl Fn([f32; 4]
 /// Parts of a picture that have been finished and not yet sent.
 struct Parts<'a> {
     generation: u32,
-    shown: &'a mut Shown,
+    shown: &'a mut DisplayPicture,
     waiting: Vec<Rectangle>,
     /// In these.
     pixels: usize,
     sent: Instant,
-    wanted: &'a Wanted,
+    wanted: &'a PageWish,
     send: &'a Send,
     cancel: &'a CancelToken,
 }

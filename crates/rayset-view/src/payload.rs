@@ -13,13 +13,13 @@ const QUALITY: u8 = 82;
 
 /// A picture for display: 8-bit RGBA, straight alpha, row by row.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Shown {
+pub(crate) struct DisplayPicture {
     pub(crate) width: u32,
     pub(crate) height: u32,
     pub(crate) rgba: Vec<u8>,
 }
 
-impl Shown {
+impl DisplayPicture {
     /// Makes it a transparent picture of another size.
     pub(crate) fn resize(&mut self, [width, height]: [u32; 2]) {
         (self.width, self.height) = (width, height);
@@ -101,7 +101,7 @@ const MOST_DEPTHS: u32 = 360;
 pub(crate) fn whole(
     generation: u32,
     frame: u32,
-    shown: &Shown,
+    shown: &DisplayPicture,
     depths: &Depths,
     background: [u8; 3],
 ) -> Vec<u8> {
@@ -121,7 +121,7 @@ pub(crate) fn whole(
 /// A picture over a background. The encoder compiles itself for each kind of image; this is the
 /// only one.
 struct OverBackground<'a> {
-    shown: &'a Shown,
+    shown: &'a DisplayPicture,
     background: [u8; 3],
 }
 
@@ -156,7 +156,12 @@ impl ImageBuffer for OverBackground<'_> {
 }
 
 /// Parts of a picture, without loss.
-pub(crate) fn parts(generation: u32, frame: u32, shown: &Shown, rectangles: &[Rectangle]) -> Vec<u8> {
+pub(crate) fn parts(
+    generation: u32,
+    frame: u32,
+    shown: &DisplayPicture,
+    rectangles: &[Rectangle],
+) -> Vec<u8> {
     let count = rectangles.len() as u16;
     let head =
         FrameHead { kind: FrameKind::Rectangles, generation, frame, size: shown.size(), rectangles: count };
@@ -184,7 +189,7 @@ mod tests {
 
     #[test]
     fn a_picture_is_encoded_over_its_background() {
-        let mut shown = Shown::default();
+        let mut shown = DisplayPicture::default();
         shown.resize([3, 2]);
         shown.set_row(0, 1, [[9, 8, 7, 255], [9, 8, 7, 0], [100, 0, 50, 128]].into_iter());
         let picture = OverBackground { shown: &shown, background: [20, 200, 250] };
@@ -200,7 +205,7 @@ mod tests {
 
     #[test]
     fn parts_of_a_picture_come_back_as_they_were() {
-        let mut shown = Shown::default();
+        let mut shown = DisplayPicture::default();
         shown.resize([40, 30]);
         for y in 0..30 {
             shown.set_row(0, y, (0..40).map(|x| [x as u8, y as u8, (x * y) as u8, 255 - x as u8]));

@@ -20,7 +20,7 @@ struct State {
 
 /// What the log says of a refusal.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Said {
+pub(crate) enum LogDecision {
     Line,
     /// A line, and that so many before it had none.
     LineAfter(u64),
@@ -35,24 +35,24 @@ impl Default for Refusals {
 
 impl Refusals {
     /// Takes note of a refusal.
-    pub(crate) fn count(&self) -> Said {
+    pub(crate) fn count(&self) -> LogDecision {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).count_at(Instant::now())
     }
 }
 
 impl State {
-    fn count_at(&mut self, now: Instant) -> Said {
+    fn count_at(&mut self, now: Instant) -> LogDecision {
         let passed = now.saturating_duration_since(self.last);
         self.last = now;
         self.left = (self.left + passed.as_secs_f64() / BETWEEN_LINES.as_secs_f64()).min(AT_ONCE);
         if self.left < 1.0 {
             self.unsaid += 1;
-            return Said::Nothing;
+            return LogDecision::Nothing;
         }
         self.left -= 1.0;
         match std::mem::take(&mut self.unsaid) {
-            0 => Said::Line,
-            unsaid => Said::LineAfter(unsaid),
+            0 => LogDecision::Line,
+            unsaid => LogDecision::LineAfter(unsaid),
         }
     }
 }
@@ -66,14 +66,15 @@ mod tests {
         let start = Instant::now();
         let mut state = State { left: AT_ONCE, last: start, unsaid: 0 };
         // A thousand a second, for a hundred seconds.
-        let said: Vec<Said> =
+        let said: Vec<LogDecision> =
             (0..100_000).map(|at| state.count_at(start + Duration::from_millis(at))).collect();
-        let lines = said.iter().filter(|said| **said != Said::Nothing).count();
+        let lines = said.iter().filter(|said| **said != LogDecision::Nothing).count();
         assert!((20..=31).contains(&lines), "{lines}");
         // After a quiet while the next is said, and how many were not.
         let next = state.count_at(start + Duration::from_secs(200));
-        let counted = said.iter().map(|said| if let Said::LineAfter(unsaid) = said { *unsaid } else { 0 });
-        let Said::LineAfter(rest) = next else { panic!("{next:?}") };
+        let counted =
+            said.iter().map(|said| if let LogDecision::LineAfter(unsaid) = said { *unsaid } else { 0 });
+        let LogDecision::LineAfter(rest) = next else { panic!("{next:?}") };
         assert_eq!(counted.sum::<u64>() + rest + lines as u64, 100_000);
     }
 }

@@ -22,7 +22,7 @@ use crate::compose::{Opened, Subject};
 use crate::connections::Limited;
 use crate::page;
 use crate::protocol::{MOST_MESSAGE_BYTES, PictureMemory, ToPage};
-use crate::refusals::{Refusals, Said};
+use crate::refusals::{LogDecision, Refusals};
 use crate::visit::{self, Places};
 
 /// Most pages that are connected at a time.
@@ -270,9 +270,11 @@ impl Shared {
     /// Logs that somebody was refused. Whoever is refused again and again does not fill the log.
     fn log_refusal(&self, line: &str) {
         match self.refusals.count() {
-            Said::Line => (self.log)(line),
-            Said::LineAfter(unsaid) => (self.log)(&format!("{line} ({unsaid} more were refused before)")),
-            Said::Nothing => {}
+            LogDecision::Line => (self.log)(line),
+            LogDecision::LineAfter(unsaid) => {
+                (self.log)(&format!("{line} ({unsaid} more were refused before)"));
+            }
+            LogDecision::Nothing => {}
         }
     }
 

@@ -15,7 +15,7 @@ use crate::protocol::{FromPage, Show, ToPage};
 use crate::rate::Rate;
 use crate::saving;
 use crate::server::{MOST_PAGES, Ready, Shared, Stage};
-use crate::wanted::Wanted;
+use crate::wanted::PageWish;
 
 /// Messages that wait for a page, besides frames, of which at most two are under way.
 const MESSAGES_WAITING: usize = 4;
@@ -132,7 +132,7 @@ struct Page {
     shared: Arc<Shared>,
     ready: Arc<Ready>,
     place: Arc<Places>,
-    wanted: Arc<Wanted>,
+    wanted: Arc<PageWish>,
     asks: SyncSender<Ask>,
     /// Sends to the page, from a thread.
     send: mpsc::Sender<Outgoing>,
@@ -149,7 +149,7 @@ impl Page {
     /// Starts the threads of a page: one makes its pictures, one answers its questions. `None` if
     /// the system starts none.
     fn start(place: &Arc<Places>, ready: Arc<Ready>, send: mpsc::Sender<Outgoing>) -> Option<Self> {
-        let (wanted, current) = (Arc::new(Wanted::default()), Current::default());
+        let (wanted, current) = (Arc::new(PageWish::default()), Current::default());
         let (asks, questions) = std::sync::mpsc::sync_channel(QUESTIONS_WAITING);
         let shared = place.shared.clone();
         // Made first: dropped, it ends the threads that have been started.

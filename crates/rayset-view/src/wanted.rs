@@ -16,7 +16,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 /// The latest wish of a page, and how far it has been fulfilled.
 #[derive(Default)]
-pub(crate) struct Wanted {
+pub(crate) struct PageWish {
     state: Mutex<State>,
     changed: Condvar,
 }
@@ -63,7 +63,7 @@ pub(crate) struct Order {
     pub(crate) cancel: CancelToken,
 }
 
-impl Wanted {
+impl PageWish {
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -215,7 +215,7 @@ mod tests {
 
     #[test]
     fn a_moving_picture_is_quick_and_one_at_rest_is_quick_first_and_then_fine() {
-        let wanted = Wanted::default();
+        let wanted = PageWish::default();
         wanted.show(show(1, true));
         let order = wanted.next().expect("an order");
         assert_eq!((order.show.generation, order.grade), (1, Grade::Quick));
@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn a_picture_that_comes_to_rest_is_not_made_quickly_twice() {
-        let wanted = Wanted::default();
+        let wanted = PageWish::default();
         wanted.show(show(1, true));
         let order = wanted.next().expect("an order");
         wanted.done(&order);
@@ -250,7 +250,7 @@ mod tests {
 
     #[test]
     fn a_new_wish_ends_fine_pictures_at_once_and_lets_quick_ones_finish() {
-        let wanted = Wanted::default();
+        let wanted = PageWish::default();
         wanted.show(show(1, false));
         let quick = wanted.next().expect("an order");
         wanted.show(show(2, false));
@@ -266,7 +266,7 @@ mod tests {
 
     #[test]
     fn no_more_frames_are_under_way_than_the_page_can_take_whatever_it_acknowledges() {
-        let wanted = Wanted::default();
+        let wanted = PageWish::default();
         assert_eq!([wanted.try_send(), wanted.try_send(), wanted.try_send()], [Some(1), Some(2), None]);
         wanted.acknowledge(u32::MAX);
         assert_eq!([wanted.try_send(), wanted.try_send(), wanted.try_send()], [Some(3), Some(4), None]);

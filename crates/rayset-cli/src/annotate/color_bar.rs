@@ -15,7 +15,7 @@ use super::ticks::{self, Tick};
 const TITLE_LINES: usize = 4;
 
 /// A colour map of a scene, with what it shows.
-pub(super) struct Shown {
+pub(super) struct LabelledMap {
     map: ColorMap,
     /// `height (m)`
     title: String,
@@ -23,7 +23,7 @@ pub(super) struct Shown {
     classes: Option<Vec<Class>>,
 }
 
-impl Shown {
+impl LabelledMap {
     /// All maps of a scene, in the order of its graph.
     pub(super) fn all_of(scene: &Scene, space: Space) -> Vec<Self> {
         let mut found: Vec<Self> = Vec::new();

@@ -24,7 +24,7 @@ use rayset::scene::{Camera, Scene};
 
 use self::canvas::{Piece, Raster};
 use self::classes::View;
-use self::color_bar::Shown;
+use self::color_bar::LabelledMap;
 use self::layout::Layout;
 use self::scale_bar::Scale;
 pub(crate) use self::sheet::{Mount, Sheet};
@@ -84,7 +84,7 @@ const DRAWING_BYTES: u64 = 1536 << 10;
 pub(crate) struct Annotations {
     layout: Layout,
     space: Space,
-    shown: Option<Shown>,
+    shown: Option<LabelledMap>,
     caption: Vec<String>,
     center: DVec3,
     /// Of the picture itself.
@@ -112,7 +112,7 @@ impl Annotations {
             light.clamp(0.0, 1.0).powf(1.0 / 2.2)
         });
         let space = Space::of(scene);
-        let mut maps = Shown::all_of(scene, space);
+        let mut maps = LabelledMap::all_of(scene, space);
         if maps.len() > 1 {
             report::remark(format_args!(
                 "--annotate: the scene has {} colour maps; the bar shows the first",
@@ -132,7 +132,7 @@ impl Annotations {
     /// An upper bound of the memory that drawing takes, and keeps until the picture is written.
     pub(crate) fn bytes(&self, camera: &Camera) -> u64 {
         let pieces = self.pieces(camera, None).iter().map(Piece::bytes).sum::<u64>();
-        DRAWING_BYTES + self.row_bytes + pieces + self.shown.as_ref().map_or(0, Shown::bytes)
+        DRAWING_BYTES + self.row_bytes + pieces + self.shown.as_ref().map_or(0, LabelledMap::bytes)
     }
 
     /// What is drawn over the picture that a camera sees.

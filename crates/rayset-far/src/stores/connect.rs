@@ -16,7 +16,7 @@ use rayset::storage::shown;
 
 use super::aws_profile::{self, Credentials};
 use super::pending::Pending;
-use super::place::{Keeper, Place};
+use super::place::{Keeper, ObjectAddress};
 use super::redirect::Connector;
 use super::renewal::Renewal;
 use super::{azure, failure, tries};
@@ -50,7 +50,7 @@ impl Client {
         Self { store: store.clone(), renewal: Renewal::default(), parts: Some(store), pending: None }
     }
 
-    pub(super) fn writable(&self, place: &Place, times: Times) -> io::Result<Writer> {
+    pub(super) fn writable(&self, place: &ObjectAddress, times: Times) -> io::Result<Writer> {
         let parts = self.parts.clone().ok_or_else(|| {
             let name = shown(Path::new(&place.name));
             let what = format!("{name}: web servers are only read; write to a disk or a bucket");
@@ -67,7 +67,7 @@ pub(super) struct Clients(Arc<Mutex<HashMap<Keeper, Client>>>);
 
 impl Clients {
     /// The client of an object's keeper.
-    pub(super) async fn client(&self, place: &Place, times: Times) -> io::Result<Client> {
+    pub(super) async fn client(&self, place: &ObjectAddress, times: Times) -> io::Result<Client> {
         if let Some(known) = self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&place.keeper) {
             return Ok(known.clone());
         }

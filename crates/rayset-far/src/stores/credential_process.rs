@@ -25,13 +25,13 @@ const ANSWERS_WITHIN: Duration = Duration::from_secs(25);
 pub(super) struct Process {
     command: String,
     /// Locked while the command runs, so that one is run for all who wait.
-    said: Mutex<Option<Said>>,
+    said: Mutex<Option<CachedCredential>>,
     /// How often other credentials have been said than before.
     turns: AtomicU64,
 }
 
 #[derive(Clone, Debug)]
-struct Said {
+struct CachedCredential {
     credential: Arc<AwsCredential>,
     /// When it is to be asked for again.
     until: SystemTime,
@@ -86,7 +86,7 @@ impl Process {
 
     async fn replace(
         &self,
-        said: &mut Option<Said>,
+        said: &mut Option<CachedCredential>,
         now: SystemTime,
     ) -> object_store::Result<Arc<AwsCredential>> {
         let new = self.ask(now).await.map_err(|source| object_store::Error::Unauthenticated {
@@ -99,7 +99,7 @@ impl Process {
         Ok(said.insert(new).credential.clone())
     }
 
-    async fn ask(&self, now: SystemTime) -> io::Result<Said> {
+    async fn ask(&self, now: SystemTime) -> io::Result<CachedCredential> {
         let shell = if cfg!(windows) { ("cmd", "/C") } else { ("sh", "-c") };
         let mut command = tokio::process::Command::new(shell.0);
         command.args([shell.1, &self.command]).stdin(Stdio::null()).kill_on_drop(true);
@@ -137,7 +137,7 @@ impl Process {
         let credential = AwsCredential { key_id, secret_key, token: get("SessionToken") };
         // What is valid for longer than time goes on is asked for again after the usual time.
         let until = now.checked_add(holds).unwrap_or(now + USED_FOR);
-        Ok(Said { credential: Arc::new(credential), until })
+        Ok(CachedCredential { credential: Arc::new(credential), until })
     }
 }
 

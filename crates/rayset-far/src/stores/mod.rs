@@ -31,7 +31,7 @@ use tokio::runtime::{Builder, Runtime};
 
 use self::connect::{Client, Clients};
 use self::object::{PinnedObject, Version};
-use self::place::Place;
+use self::place::ObjectAddress;
 use crate::times::Times;
 use crate::{Cache, CacheError, Settings};
 use crate::{IN_FLIGHT, REQUESTS_BYTES};
@@ -120,8 +120,8 @@ impl Stores {
         receive.recv().unwrap_or_else(|_| Err(io::Error::other("a task of the connection panicked")))
     }
 
-    fn place(&self, address: &str) -> io::Result<(Place, Client)> {
-        let place = Place::new(address)?;
+    fn place(&self, address: &str) -> io::Result<(ObjectAddress, Client)> {
+        let place = ObjectAddress::new(address)?;
         let (clients, wanted, times) = (self.clients.clone(), place.clone(), self.times);
         let client = self.wait(async move { clients.client(&wanted, times).await })?;
         Ok((place, client))
@@ -217,7 +217,7 @@ impl Addresses for Stores {
     }
 
     fn abandon(&self, address: &str) {
-        let Ok(place) = Place::new(address) else { return };
+        let Ok(place) = ObjectAddress::new(address) else { return };
         let (uploads, clients, times) = (self.uploads.clone(), self.clients.clone(), self.times);
         let _ = self.wait(async move {
             let work = async {

@@ -14,7 +14,7 @@ use rayset::storage::{FarOptions, FarStorage, RangeError, RangeReader, RangeSink
 use tokio::runtime::Runtime;
 
 use super::connect::Client;
-use super::place::Place;
+use super::place::ObjectAddress;
 use super::{failure, tries};
 use crate::cache::{self, BLOCK_BYTES, Cache, Key};
 use crate::times::Times;
@@ -70,7 +70,12 @@ pub(super) struct Look {
 }
 
 /// Looks at an object, and reads the first `bytes` of it at the same time.
-pub(super) async fn look(client: &Client, place: &Place, bytes: u64, times: Times) -> io::Result<Look> {
+pub(super) async fn look(
+    client: &Client,
+    place: &ObjectAddress,
+    bytes: u64,
+    times: Times,
+) -> io::Result<Look> {
     let look = || look_once(&*client.store, &place.path, bytes);
     tries::attempts(times, &client.renewal, look).await.map_err(|failed| failed.in_words(&place.name))
 }
@@ -104,7 +109,7 @@ impl PinnedObject {
     pub(super) fn new(
         runtime: Arc<Runtime>,
         client: Client,
-        place: Place,
+        place: ObjectAddress,
         Look { version, first }: Look,
         cache: Option<Arc<Cache>>,
         times: Times,
@@ -178,7 +183,7 @@ impl RangeReader for Reader {
 /// An object, and where its blocks are kept.
 struct Ranges {
     client: Client,
-    place: Place,
+    place: ObjectAddress,
     version: Version,
     kept: Option<(Arc<Cache>, Key)>,
     /// How long an answer may take.

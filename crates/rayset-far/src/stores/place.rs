@@ -22,7 +22,7 @@ pub(super) enum Keeper {
 
 /// An object: its keeper, and its place there.
 #[derive(Clone, Debug)]
-pub(super) struct Place {
+pub(super) struct ObjectAddress {
     pub(super) keeper: Keeper,
     pub(super) path: Path,
     /// Tells it from other objects of its keeper: the address, that of a web server without its
@@ -30,7 +30,7 @@ pub(super) struct Place {
     pub(super) name: String,
 }
 
-impl Place {
+impl ObjectAddress {
     pub(super) fn new(address: &str) -> io::Result<Self> {
         let wrong = |what: &str| {
             let what = format!(
@@ -81,18 +81,18 @@ mod tests {
 
     #[test]
     fn addresses_name_a_keeper_and_an_object() {
-        let place = Place::new("s3://bucket/a/b c?#.rset").expect("an address");
+        let place = ObjectAddress::new("s3://bucket/a/b c?#.rset").expect("an address");
         assert_eq!((place.keeper, place.path.as_ref()), (Keeper::S3("bucket".into()), "a/b c?#.rset"));
-        let place = Place::new("https://u:p@host:81/a%20b.rset?token=x").expect("an address");
+        let place = ObjectAddress::new("https://u:p@host:81/a%20b.rset?token=x").expect("an address");
         assert_eq!(place.keeper, Keeper::Web("https://u:p@host:81/?token=x".into()));
         assert_eq!(place.name, "https://host:81/a%20b.rset");
         for unclear in ["http://u:12345@hunter2/hunter2@host/a", "http://u:1/hunter2@host/a"] {
-            assert_eq!(Place::new(unclear).expect("an address").name, "http://…@host/a");
+            assert_eq!(ObjectAddress::new(unclear).expect("an address").name, "http://…@host/a");
         }
         for wrong in
             ["s3://bucket", "s3://bucket/", "s3://bucket/a/", "s3:///a", "ftp://host/a", "https://host/"]
         {
-            let said = Place::new(wrong).expect_err("no object").to_string();
+            let said = ObjectAddress::new(wrong).expect_err("no object").to_string();
             assert!(said.contains("expected s3://BUCKET/KEY"), "{said}");
         }
     }

@@ -22,7 +22,7 @@ use object_store::{Error, ObjectStoreExt, PutPayload};
 use rayset::storage::{FileStorage, Storage};
 
 use super::connect::Writer;
-use super::place::Place;
+use super::place::ObjectAddress;
 use super::tries::{self, Failure};
 
 /// Least bytes of a part.
@@ -42,11 +42,11 @@ const LONGEST_NOTE: u64 = 64 << 10;
 pub(super) struct Uploads(Arc<Mutex<HashMap<String, String>>>);
 
 impl Uploads {
-    fn begin(&self, place: &Place, id: &str) {
+    fn begin(&self, place: &ObjectAddress, id: &str) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(place.name.clone(), id.to_owned());
     }
 
-    fn end(&self, place: &Place) -> Option<String> {
+    fn end(&self, place: &ObjectAddress) -> Option<String> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&place.name)
     }
 }
@@ -73,7 +73,7 @@ impl Writer {
 
 /// Clears away what a run that was killed has left behind, and makes sure that the bucket can be
 /// written to.
-pub(super) async fn prepare(writer: Writer, place: Place) -> io::Result<()> {
+pub(super) async fn prepare(writer: Writer, place: ObjectAddress) -> io::Result<()> {
     let said = |failed: Failure| failed.in_words(&place.name);
     let note = note_of(&place);
     let read = || async {
@@ -101,7 +101,7 @@ pub(super) async fn prepare(writer: Writer, place: Place) -> io::Result<()> {
 /// least one.
 pub(super) async fn put(
     writer: Writer,
-    place: Place,
+    place: ObjectAddress,
     file: File,
     uploads: Uploads,
     sending_bytes: u64,
@@ -184,7 +184,7 @@ async fn clear_unknown(writer: &Writer, path: &Path, except: Option<&String>) {
 }
 
 /// Gives up an upload of this process.
-pub(super) async fn abandon(writer: Writer, place: Place, uploads: Uploads) {
+pub(super) async fn abandon(writer: Writer, place: ObjectAddress, uploads: Uploads) {
     if let Some(id) = uploads.end(&place) {
         if id.is_empty() {
             clear_unknown(&writer, &place.path, None).await;
@@ -197,7 +197,7 @@ pub(super) async fn abandon(writer: Writer, place: Place, uploads: Uploads) {
 
 async fn send_parts(
     writer: &Writer,
-    place: &Place,
+    place: &ObjectAddress,
     id: &String,
     file: &Arc<FileStorage>,
     sending_bytes: u64,
@@ -249,6 +249,6 @@ async fn is_there(writer: &Writer, path: &Path, length: u64) -> bool {
 }
 
 /// The object that notes the upload.
-fn note_of(place: &Place) -> Path {
+fn note_of(place: &ObjectAddress) -> Path {
     Path::from(format!("{}.rayset-upload", place.path))
 }

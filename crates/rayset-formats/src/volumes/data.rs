@@ -38,7 +38,7 @@ pub(super) enum Begin {
 }
 
 /// Where the voxels of a volume are expected.
-pub(super) struct Place<'a> {
+pub(super) struct VoxelSpan<'a> {
     pub(super) path: &'a Path,
     /// Offset in the file of their first byte.
     pub(super) start: u64,
@@ -48,7 +48,7 @@ pub(super) struct Place<'a> {
     pub(super) rest: Option<u64>,
 }
 
-impl Place<'_> {
+impl VoxelSpan<'_> {
     fn wrong(&self, offset: u64, what: String) -> ReadError {
         ReadError::Data { path: self.path.to_owned(), offset, what }
     }

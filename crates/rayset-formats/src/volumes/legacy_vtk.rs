@@ -5,7 +5,7 @@
 use std::io::Read;
 use std::path::Path;
 
-use super::data::{Place, data_at, regular_file_bytes};
+use super::data::{VoxelSpan, data_at, regular_file_bytes};
 use super::fields::{Lines, counts, numbers};
 use super::rectilinear::{Coordinates, Even};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
@@ -94,7 +94,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     let voxels = if file.text {
         text(path, array)?
     } else {
-        Place { path, start: array.at, bytes, rest: None }.plain()?
+        VoxelSpan { path, start: array.at, bytes, rest: None }.plain()?
     };
     Ok(VolumeSource::new(&described, bytes, voxels))
 }

@@ -10,7 +10,7 @@
 use std::path::Path;
 use std::str::FromStr;
 
-use super::data::{Begin, Compression, Place, regular_file_bytes};
+use super::data::{Begin, Compression, VoxelSpan, regular_file_bytes};
 use super::fields::Lines;
 use super::orientation::Orientation;
 use super::series::Series;
@@ -187,10 +187,14 @@ impl Header {
             // voxels could begin.
             Err(_) => regular_file_bytes(path)?.saturating_sub(bytes).max(least),
         };
-        let place = Place { path, start, bytes, rest };
+        let place = VoxelSpan { path, start, bytes, rest };
         if self.compressed {
             let limit = self.compressed_bytes.filter(|bytes| *bytes > 0);
-            return Place { rest: Some(0), ..place }.compressed(Compression::Zlib, limit, Begin::After(0));
+            return VoxelSpan { rest: Some(0), ..place }.compressed(
+                Compression::Zlib,
+                limit,
+                Begin::After(0),
+            );
         }
         place.plain()
     }

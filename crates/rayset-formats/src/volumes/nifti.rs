@@ -10,7 +10,7 @@ use std::path::Path;
 
 use flate2::bufread::MultiGzDecoder;
 
-use super::data::{Begin, Compression, Place, data_at};
+use super::data::{Begin, Compression, VoxelSpan, data_at};
 use super::label_table;
 use super::orientation::Orientation;
 use super::series::Series;
@@ -123,7 +123,7 @@ pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, Read
     let all = bytes.checked_mul(volumes).ok_or_else(|| fields.wrong(DIM, "dim", "the series is too long"))?;
     let before = bytes * series.index;
     let (first, rest) = ((start as u64).saturating_add(before), all - before - bytes);
-    let place = Place { path, start: if zipped { 0 } else { first }, bytes, rest: Some(rest) };
+    let place = VoxelSpan { path, start: if zipped { 0 } else { first }, bytes, rest: Some(rest) };
     let voxels = if zipped {
         place.compressed(Compression::Gzip, None, Begin::After(first))?
     } else {

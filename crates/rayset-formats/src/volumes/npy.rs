@@ -9,7 +9,7 @@
 use std::io::Read;
 use std::path::Path;
 
-use super::data::{Place, data_at, io_error, regular_file_bytes};
+use super::data::{VoxelSpan, data_at, io_error, regular_file_bytes};
 use super::series::Series;
 use crate::array_file::{Array, Fault, Header, MAGIC, Member, is_archive, text_place};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
@@ -132,7 +132,7 @@ pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, Read
     }
     let array = Array::open(path, Member::whole(regular_file_bytes(path)?)).map_err(of_fault(path))?;
     volume(path, &array, "its header", [[1.0; 3], [0.0; 3]], index, |all| {
-        Place { path, start: array.header.bytes, bytes: all, rest: Some(0) }.plain()
+        VoxelSpan { path, start: array.header.bytes, bytes: all, rest: Some(0) }.plain()
     })
 }
 

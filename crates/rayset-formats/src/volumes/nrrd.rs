@@ -12,7 +12,7 @@
 
 use std::path::Path;
 
-use super::data::{Begin, Compression, Place, regular_file_bytes, skip_lines};
+use super::data::{Begin, Compression, VoxelSpan, regular_file_bytes, skip_lines};
 use super::fields::Lines;
 use super::orientation::Orientation;
 use super::segments::Segments;
@@ -170,16 +170,20 @@ impl Header {
                 Ok(before) => Begin::After(before),
                 Err(_) => Begin::BeforeLast((-1 - self.byte_skip) as u64),
             };
-            return Place { path, start, bytes, rest: Some(0) }.compressed(Compression::Gzip, None, begin);
+            return VoxelSpan { path, start, bytes, rest: Some(0) }.compressed(
+                Compression::Gzip,
+                None,
+                begin,
+            );
         }
         if self.byte_skip < 0 {
             let behind = (-1 - self.byte_skip) as u64;
             let first = regular_file_bytes(path)?.checked_sub(bytes.saturating_add(behind));
             let start = first.filter(|first| *first >= start).unwrap_or(start);
-            return Place { path, start, bytes, rest: Some(behind) }.plain();
+            return VoxelSpan { path, start, bytes, rest: Some(behind) }.plain();
         }
         let start = start.saturating_add(self.byte_skip as u64);
-        Place { path, start, bytes, rest: beside.is_none().then_some(0) }.plain()
+        VoxelSpan { path, start, bytes, rest: beside.is_none().then_some(0) }.plain()
     }
 
     fn take(&mut self, key: &str, value: &str, place: &str) -> Result<(), &'static str> {

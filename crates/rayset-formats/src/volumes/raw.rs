@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::str::FromStr;
 
-use super::data::Place;
+use super::data::VoxelSpan;
 use rayset_base::geometry::{DAffine3, DVec3};
 use rayset_base::numbers::Stored;
 use rayset_base::parse::ParseError;
@@ -85,7 +85,7 @@ impl RawLayout {
             axes_place: "its layout, spacing".into(),
         };
         let bytes = described.check(path)?;
-        let voxels = Place { path, start: self.skip, bytes, rest: None }.plain()?;
+        let voxels = VoxelSpan { path, start: self.skip, bytes, rest: None }.plain()?;
         Ok(VolumeSource::new(&described, bytes, voxels))
     }
 }

@@ -7,7 +7,7 @@
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
-use super::data::{Place, data_at, regular_file_bytes};
+use super::data::{VoxelSpan, data_at, regular_file_bytes};
 use rayset_base::geometry::{DAffine3, DVec3};
 use rayset_base::numbers::Stored;
 use rayset_files::grid::ReadError;
@@ -75,7 +75,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     // Red, green and blue of a small picture.
     let picture = count(12, "width")?.saturating_mul(count(13, "height")?).saturating_mul(3);
     let start = picture.saturating_add(head.len() as u64);
-    let place = Place { path, start, bytes, rest: None };
+    let place = VoxelSpan { path, start, bytes, rest: None };
     let (voxels, missing) = match words[11] {
         "0" => (place.plain()?, 0),
         "1" => encoded(&place, size)?,
@@ -90,7 +90,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
 
 /// Opens slices that are run-length encoded; also returns by how many voxels each of them ends
 /// early.
-fn encoded(place: &Place<'_>, size: [u64; 3]) -> Result<(Voxels, u64), ReadError> {
+fn encoded(place: &VoxelSpan<'_>, size: [u64; 3]) -> Result<(Voxels, u64), ReadError> {
     let (path, bytes) = (place.path.to_owned(), place.bytes);
     let left = regular_file_bytes(&path)?.saturating_sub(place.start);
     if bytes / MOST_RATIO > left {

@@ -5,7 +5,7 @@
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-use super::data::{Place, data_at, regular_file_bytes};
+use super::data::{VoxelSpan, data_at, regular_file_bytes};
 use super::fields::{numbers, parsed};
 use super::rectilinear::{Coordinates, Even};
 use crate::vtk_xml::{self, DataArray, Document, Fault, Group, Opened, Piece, Tag, Words};
@@ -62,7 +62,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     let array = DataArray { path, document: &document, tag, words, count, bytes, file_bytes };
     match array.open(described.stored).map_err(of_fault(path))? {
         Opened::Plain(start) => {
-            let voxels = Place { path, start, bytes, rest: None }.plain()?;
+            let voxels = VoxelSpan { path, start, bytes, rest: None }.plain()?;
             Ok(VolumeSource::new(&described, bytes, voxels))
         }
         Opened::Stream { data, rest, is_text } => {

@@ -41,14 +41,14 @@ pub struct Cache {
 const DEFAULT_LIMIT: u64 = 20 << 30;
 
 /// Where something is built.
-pub(super) enum Place {
+pub(super) enum BuildTarget {
     /// In the cache.
     Kept(Entry),
     /// In a folder that goes when this is dropped.
     Temporary { _folder: Box<dyn TemporaryFolder>, path: PathBuf },
 }
 
-impl Place {
+impl BuildTarget {
     pub(super) fn path(&self) -> &Path {
         match self {
             Self::Kept(entry) => entry.data(),
@@ -91,12 +91,12 @@ impl Cache {
 
     /// A place for what is built: in the cache, or, if that cannot be written to, which is said, in
     /// a temporary folder.
-    pub(super) fn place(&self, name: &Name, host: &dyn Host) -> Result<Place> {
+    pub(super) fn place(&self, name: &Name, host: &dyn Host) -> Result<BuildTarget> {
         if self.keeps_nothing {
             return temporary(name, host);
         }
         let created = self.folder().and_then(|folder| Entry::create(&folder, &name.entry, &name.data));
-        created.map(Place::Kept).or_else(|error| {
+        created.map(BuildTarget::Kept).or_else(|error| {
             host.remark(&format!(
                 "nothing is kept: {error:#}; --cache names another folder, --no-cache says that none is wanted"
             ));
@@ -173,10 +173,10 @@ pub(super) fn stamps(files: &[PathBuf]) -> Result<Vec<(PathBuf, String)>> {
     files.iter().map(|file| Ok((file.clone(), stamp::of(file, Detail::Local)?))).collect()
 }
 
-fn temporary(name: &Name, host: &dyn Host) -> Result<Place> {
+fn temporary(name: &Name, host: &dyn Host) -> Result<BuildTarget> {
     let folder = host.temporary_folder()?;
     let path = folder.path().join(&name.data);
-    Ok(Place::Temporary { _folder: folder, path })
+    Ok(BuildTarget::Temporary { _folder: folder, path })
 }
 
 /// Raised when what is built of the same input changes within a version of the program: entries of

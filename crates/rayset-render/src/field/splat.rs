@@ -25,7 +25,7 @@ use super::pairs::BlockLimits;
 use super::samples::{Channels, FieldSamples, RayEnds, SplatJob};
 use super::simd::{SimdLevel, dispatch};
 use super::splat_wide::splat_wide;
-use super::sums::{ANY, COLOR, Place, Sums};
+use super::sums::{ANY, COLOR, SampleBlock, Sums};
 
 /// Adds runs to samples with a given kernel and instruction set.
 #[derive(Clone, Copy, Debug)]
@@ -207,7 +207,7 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
     let mut tested = 0_u32;
     let mut depth = 0.0;
     for block in 0..BLOCKS {
-        let place = Place { lane, block };
+        let place = SampleBlock { lane, block };
         let (mut sums, mut begun) = (Sums::<S, GRADIENT, ATTRIBUTES>::zero(simd), false);
         let mut here = reaching[block][lane] & !group.empty;
         while here != 0 {
@@ -257,7 +257,11 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
 
 /// The blocks of a lane that a run reaches, one behind the other from a given one on.
 #[inline(always)]
-fn blocks_from(reaching: &[[u32; LANES]; BLOCKS], Place { lane, block }: Place, number: usize) -> BlockRange {
+fn blocks_from(
+    reaching: &[[u32; LANES]; BLOCKS],
+    SampleBlock { lane, block }: SampleBlock,
+    number: usize,
+) -> BlockRange {
     let mut blocks = BlockRange { first: block, end: block + 1 };
     while blocks.end < BLOCKS && reaching[blocks.end][lane] >> number & 1 == 1 {
         blocks.end += 1;

@@ -21,12 +21,12 @@ pub(super) const ANY: usize = usize::MAX;
 
 /// The samples of one block of one ray.
 #[derive(Clone, Copy)]
-pub(super) struct Place {
+pub(super) struct SampleBlock {
     pub(super) lane: usize,
     pub(super) block: usize,
 }
 
-impl Place {
+impl SampleBlock {
     /// Their range in the rows of the ray.
     #[inline(always)]
     pub(super) fn range(self) -> Range<usize> {
@@ -50,7 +50,7 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
 
     /// What has been added to the samples before.
     #[inline(always)]
-    pub(super) fn load(simd: S, samples: &FieldSamples, place: Place) -> Self {
+    pub(super) fn load(simd: S, samples: &FieldSamples, place: SampleBlock) -> Self {
         let (lane, at) = (place.lane, place.range());
         let mut sums = Self::zero(simd);
         sums.density = f32x8::from_slice(simd, &samples.density[lane].0[at.clone()]);
@@ -68,7 +68,7 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
     }
 
     #[inline(always)]
-    pub(super) fn store(&self, samples: &mut FieldSamples, place: Place) {
+    pub(super) fn store(&self, samples: &mut FieldSamples, place: SampleBlock) {
         let (lane, at) = (place.lane, place.range());
         self.density.store_slice(&mut samples.density[lane].0[at.clone()]);
         for channel in 0..3 {
@@ -90,7 +90,7 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
         hits: [u64; 2],
         (points, run): (&PointColumns, &DecodedRun),
         samples: &mut FieldSamples,
-        place: Place,
+        place: SampleBlock,
     ) {
         let simd = self.density.simd;
         let t = ray.samples_of_block(simd, place.block);
@@ -156,7 +156,7 @@ fn add_attributes<S: Simd>(
     run: &DecodedRun,
     point: usize,
     samples: &mut FieldSamples,
-    place: Place,
+    place: SampleBlock,
 ) {
     let (simd, lane) = (weighted.simd, place.lane);
     for (rows, column) in samples.attribute.iter_mut().zip(&run.attribute) {

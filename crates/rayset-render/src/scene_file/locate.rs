@@ -11,7 +11,7 @@ pub(super) enum Step<'k> {
 
 /// A place in a text; line and column are counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct TextPosition {
     pub(super) line: usize,
     pub(super) column: usize,
 }
@@ -24,7 +24,7 @@ pub(super) enum Part {
 }
 
 /// The place of the value at the end of a path, or of its key, in a text that is known to be JSON.
-pub(super) fn locate(text: &str, path: &[Step<'_>], part: Part) -> Place {
+pub(super) fn locate(text: &str, path: &[Step<'_>], part: Part) -> TextPosition {
     let mut scanner = Scanner { bytes: text.as_bytes(), at: 0, key_at: None };
     for step in path {
         scanner.key_at = None;
@@ -39,7 +39,7 @@ pub(super) fn locate(text: &str, path: &[Step<'_>], part: Part) -> Place {
 }
 
 /// The first key that occurs twice in one object, if any, and the place of its second occurrence.
-pub(super) fn repeated_key(text: &str) -> Option<(String, Place)> {
+pub(super) fn repeated_key(text: &str) -> Option<(String, TextPosition)> {
     let mut scanner = Scanner { bytes: text.as_bytes(), at: 0, key_at: None };
     let mut open: Vec<HashSet<String>> = Vec::new();
     loop {
@@ -67,11 +67,11 @@ pub(super) fn repeated_key(text: &str) -> Option<(String, Place)> {
     }
 }
 
-fn place_of(text: &str, at: usize) -> Place {
+fn place_of(text: &str, at: usize) -> TextPosition {
     let before = &text.as_bytes()[..at.min(text.len())];
     let line = before.iter().filter(|&&b| b == b'\n').count() + 1;
     let start = before.iter().rposition(|&b| b == b'\n').map_or(0, |i| i + 1);
-    Place { line, column: String::from_utf8_lossy(&before[start..]).chars().count() + 1 }
+    TextPosition { line, column: String::from_utf8_lossy(&before[start..]).chars().count() + 1 }
 }
 
 struct Scanner<'a> {
@@ -170,19 +170,19 @@ mod tests {
         let text = "{\n  \"a\": [1, {\"b\": \"x]\\\"\", \"c\": 2}],\n  \"d\": true\n}";
         let key = Step::Key;
         let at = |path: &[Step<'_>]| {
-            let Place { line, column } = locate(text, path, Part::Value);
+            let TextPosition { line, column } = locate(text, path, Part::Value);
             (line, column)
         };
         assert_eq!(at(&[]), (1, 1));
         assert_eq!(at(&[key("a"), Step::Index(0)]), (2, 9));
         assert_eq!(at(&[key("a"), Step::Index(1), key("c")]), (2, 31));
         assert_eq!(at(&[key("d")]), (3, 8));
-        assert_eq!(locate(text, &[key("d")], Part::Key), Place { line: 3, column: 3 });
+        assert_eq!(locate(text, &[key("d")], Part::Key), TextPosition { line: 3, column: 3 });
         assert_eq!(repeated_key("{\"a\": {\"b\": 1}, \"b\": [\"a\", \"a\"]}"), None);
         let (key, place) = repeated_key("{\"a\": 1,\n \"a\": 2}").expect("it stands twice");
-        assert_eq!((key.as_str(), place), ("a", Place { line: 2, column: 2 }));
+        assert_eq!((key.as_str(), place), ("a", TextPosition { line: 2, column: 2 }));
         let (key, place) =
             repeated_key("{\"a\" : 1,\"\\u0061\" :2}").expect("it stands twice, once in disguise");
-        assert_eq!((key.as_str(), place), ("a", Place { line: 1, column: 10 }));
+        assert_eq!((key.as_str(), place), ("a", TextPosition { line: 1, column: 10 }));
     }
 }

@@ -63,7 +63,7 @@ pub(super) trait SlabVisitor {
 
 /// What is requested of an instruction.
 #[derive(Clone, Copy)]
-struct Asked<'a> {
+struct Query<'a> {
     access: Access<'a>,
     packet: &'a Packet,
     slab: Slab,
@@ -75,7 +75,7 @@ struct Asked<'a> {
     ends: Option<&'a Remaining>,
 }
 
-impl<'a> Asked<'a> {
+impl<'a> Query<'a> {
     /// For each ray, the sum of the optical depths of an instruction's samples with which it ends;
     /// `None` if that is not known, or its samples have no optical depths.
     fn ends_of(&self, instruction: &Instruction) -> Option<&'a [f32; LANES]> {
@@ -210,7 +210,7 @@ impl<'p> March<'p> {
         access.check()?;
         let all = Live::of(going);
         let remaining = self.remaining.take();
-        let asked = Asked { access, packet, slab, live: &all, all: &all, going, ends: remaining.as_ref() };
+        let asked = Query { access, packet, slab, live: &all, all: &all, going, ends: remaining.as_ref() };
         let outcome = self.run(self.program.root(), asked, Measure::OpticalDepth, counts, out);
         for node in self.shared.iter_mut().filter_map(Option::take) {
             self.spare.push(node);
@@ -227,7 +227,7 @@ impl<'p> March<'p> {
     fn run(
         &mut self,
         at: usize,
-        asked: Asked<'_>,
+        asked: Query<'_>,
         measure: Measure,
         counts: &mut RenderCounts,
         out: &mut NodeSamples,
@@ -244,7 +244,7 @@ impl<'p> March<'p> {
                 None => {
                     // Other users may need samples that do not matter here.
                     let mut node = self.node_samples();
-                    self.compute(at, Asked { live: asked.all, ends: None, ..asked }, counts, &mut node)?;
+                    self.compute(at, Query { live: asked.all, ends: None, ..asked }, counts, &mut node)?;
                     node
                 }
             };
@@ -260,7 +260,7 @@ impl<'p> March<'p> {
     fn compute(
         &mut self,
         at: usize,
-        asked: Asked<'_>,
+        asked: Query<'_>,
         counts: &mut RenderCounts,
         out: &mut NodeSamples,
     ) -> Result<(), Halt> {
@@ -275,14 +275,14 @@ impl<'p> March<'p> {
                     march.begin(asked.access, volume, asked.packet, program.simd)?;
                     *begun = true;
                 }
-                let Asked { access, slab, live, going, ends, .. } = asked;
+                let Query { access, slab, live, going, ends, .. } = asked;
                 let ends = ends.filter(|_| instruction.transfers.is_empty());
                 let (measure, simd) = (measures.0, program.simd);
                 let request = Request { access, slab, live, going, measure, required, simd, ends };
                 march.sample(volume, request, &mut self.scratch, counts, out)?;
             }
             Action::Grid(volume) => {
-                let Asked { access, packet, slab, live, .. } = asked;
+                let Query { access, packet, slab, live, .. } = asked;
                 let march = self.grids[at].get_or_insert_with(|| Box::new(volume.begin(packet)));
                 let (simd, measure, ends) = (program.simd, measures.0, asked.ends_of(instruction));
                 let request =
@@ -294,7 +294,7 @@ impl<'p> March<'p> {
                 // Only what a union or a blend has of one child, it has at least.
                 let keeps = matches!(operator, Operator::Union | Operator::Blend);
                 let ends = asked.ends.filter(|_| keeps && instruction.transfers.is_empty());
-                self.combine(*operator, children, instruction, Asked { ends, ..asked }, counts, out)?;
+                self.combine(*operator, children, instruction, Query { ends, ..asked }, counts, out)?;
             }
         }
         for transfer in &instruction.transfers {
@@ -308,12 +308,12 @@ impl<'p> March<'p> {
         &mut self,
         at: usize,
         volume: &ProceduralVolume,
-        asked: Asked<'_>,
+        asked: Query<'_>,
         out: &mut NodeSamples,
     ) {
         let instruction = &self.program.instructions[at];
         let Instruction { measures, made: required, .. } = *instruction;
-        let Asked { packet, slab, live, .. } = asked;
+        let Query { packet, slab, live, .. } = asked;
         let begin = || volume.begin(packet, required.outside);
         let of_slab;
         let march = match &mut self.fields[at] {
@@ -336,7 +336,7 @@ impl<'p> March<'p> {
         operator: Operator,
         children: &[usize],
         instruction: &Instruction,
-        asked: Asked<'_>,
+        asked: Query<'_>,
         counts: &mut RenderCounts,
         out: &mut NodeSamples,
     ) -> Result<(), Halt> {
@@ -349,7 +349,7 @@ impl<'p> March<'p> {
         // After the last child that may not be empty here, `live` is not needed any more.
         let last = children.iter().rposition(|&child| self.is_in(child, asked.slab)).unwrap_or(0);
         for (place, &child) in children.iter().enumerate().take(last + 1) {
-            let asked = Asked { live: &live, ..asked };
+            let asked = Query { live: &live, ..asked };
             let into = if place == 0 && operator != Operator::Blend { &mut *out } else { &mut other };
             if let Err(halt) = self.run(child, asked, measure, counts, into) {
                 self.give_back(other);
@@ -388,7 +388,7 @@ impl<'p> March<'p> {
         &mut self,
         children: &[usize],
         instruction: &Instruction,
-        asked: Asked<'_>,
+        asked: Query<'_>,
         counts: &mut RenderCounts,
         out: &mut NodeSamples,
     ) -> Result<(), Halt> {
@@ -403,7 +403,7 @@ impl<'p> March<'p> {
             if outcome.is_ok() {
                 outcome = self.run(
                     children[place],
-                    Asked { live: &live, ..asked },
+                    Query { live: &live, ..asked },
                     measure,
                     counts,
                     &mut blocks[place],

@@ -215,7 +215,7 @@ struct Census {
 }
 
 /// A node with its transform to the world and its material: one instruction of a program.
-type Place = (*const Node, [u64; 12], [u64; 6]);
+type InstructionKey = (*const Node, [u64; 12], [u64; 6]);
 
 impl Census {
     fn of(root: &Arc<Node>) -> Self {
@@ -232,7 +232,7 @@ impl Census {
         node: &Arc<Node>,
         world_from_parent: &DAffine3,
         material: Material,
-        known: &mut HashMap<Place, u32>,
+        known: &mut HashMap<InstructionKey, u32>,
         nodes: &mut HashSet<*const Node>,
     ) {
         let material = node.material.unwrap_or(material);

@@ -12,7 +12,7 @@ use super::layers::Layers;
 use super::march::{March, SlabVisitor};
 use super::node_samples::NodeSamples;
 use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet, Successor};
-use super::shade::Shown;
+use super::shade::SlabToShade;
 use super::shadow::Shadows;
 use super::world::World;
 use crate::field::{LANES, Packet, Slab};
@@ -329,7 +329,7 @@ impl LightOfPacket<'_, '_> {
             }
             None => &none,
         };
-        let shown = Shown { packet: self.packet, slab, node, shares: self.shares, shadows };
+        let shown = SlabToShade { packet: self.packet, slab, node, shares: self.shares, shadows };
         shader.shade(shown, self.refraction.as_deref_mut(), self.states);
         Ok(())
     }

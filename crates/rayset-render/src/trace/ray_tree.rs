@@ -27,7 +27,7 @@ const RAY_BYTES: usize = size_of::<Successor>() + size_of::<End>();
 /// The most bytes that the rays of some tiles take.
 pub(super) fn tree_bytes(max_depth: u32) -> u64 {
     let rays = RAY_ROOM.max(2 * most_rays_of_a_pixel(max_depth));
-    (rays * RAY_BYTES + MOST_SHEETS * LANES * size_of::<Seen>()) as u64
+    (rays * RAY_BYTES + MOST_SHEETS * LANES * size_of::<PixelLight>()) as u64
 }
 
 /// At most 64 primary rays, each with its sample offset: one for each pixel of a tile.
@@ -45,7 +45,7 @@ pub(super) struct RayTree {
     /// The results of these.
     pub(super) ends: Vec<End>,
     /// What the pixels of each sheet see, 64 for each.
-    seen: Vec<Seen>,
+    seen: Vec<PixelLight>,
 }
 
 /// A ray, and where it comes from.
@@ -83,14 +83,14 @@ impl RayTree {
     /// Makes the rays of a sheet the ones to trace, as those of sheet `at`; the successors of
     /// others are kept.
     pub(super) fn add_sheet(&mut self, sheet: &Sheet, rays: &RayMaker, at: usize) {
-        self.seen.resize((at + 1) * LANES, Seen::default());
+        self.seen.resize((at + 1) * LANES, PixelLight::default());
         self.start(sheet, rays, 0..sheet.len(), at);
     }
 
     /// Makes some rays of sheet `at` the only ones, as if they had not been traced before.
     pub(super) fn start_again(&mut self, sheet: &Sheet, rays: &RayMaker, pixels: Range<usize>, at: usize) {
         self.rays.truncate(self.traced);
-        self.seen[at * LANES + pixels.start..at * LANES + pixels.end].fill(Seen::default());
+        self.seen[at * LANES + pixels.start..at * LANES + pixels.end].fill(PixelLight::default());
         self.start(sheet, rays, pixels, at);
     }
 
@@ -148,7 +148,7 @@ impl RayTree {
     }
 
     /// What the pixels of a sheet have seen.
-    pub(super) fn seen_by(&self, at: usize) -> [Seen; LANES] {
+    pub(super) fn seen_by(&self, at: usize) -> [PixelLight; LANES] {
         std::array::from_fn(|pixel| self.seen[at * LANES + pixel])
     }
 
@@ -190,13 +190,13 @@ impl RayTree {
 
 /// What is seen at a place of the picture.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Seen {
+pub(super) struct PixelLight {
     color: [f32; 3],
     /// The fraction of the background that is seen.
     pub(super) open: f64,
 }
 
-impl Seen {
+impl PixelLight {
     fn add(&mut self, ray: &TreeRay, end: &End, background: Option<[f32; 3]>) {
         let weight = ray.weight as f32;
         for channel in 0..3 {

@@ -56,13 +56,13 @@ pub(super) struct Tally {
 
 #[derive(Default)]
 struct State {
-    tasks: Vec<Entry>,
+    tasks: Vec<ScheduledTask>,
     /// Threads that wait for work.
     idle: usize,
     closed: bool,
 }
 
-struct Entry {
+struct ScheduledTask {
     task: Arc<dyn Task>,
     /// Threads that work on it.
     threads: usize,
@@ -108,7 +108,7 @@ impl Scheduler {
 
     /// Lets the threads work on a render until the returned value is dropped.
     pub(super) fn add(&self, task: Arc<dyn Task>) -> Scheduled<'_> {
-        self.shared.lock().tasks.push(Entry { task: task.clone(), threads: 0 });
+        self.shared.lock().tasks.push(ScheduledTask { task: task.clone(), threads: 0 });
         self.shared.changed.notify_all();
         Scheduled { shared: &self.shared, task }
     }

@@ -22,7 +22,7 @@ pub(super) type ShadowRows = Vec<Option<Vec<SampleRow>>>;
 
 /// What a slab shows, to be shaded.
 #[derive(Clone, Copy)]
-pub(super) struct Shown<'a> {
+pub(super) struct SlabToShade<'a> {
     pub(super) packet: &'a Packet,
     pub(super) slab: Slab,
     pub(super) node: &'a NodeSamples,
@@ -48,7 +48,7 @@ impl Shader {
     /// Adds the light of the contributing samples to their rays.
     pub(super) fn shade(
         &self,
-        shown: Shown<'_>,
+        shown: SlabToShade<'_>,
         mut refraction: Option<&mut RefractionStates>,
         states: &mut [RayState; LANES],
     ) {
@@ -73,7 +73,7 @@ impl Shader {
         }
     }
 
-    fn shade_unlit(&self, Shown { node, shares, .. }: Shown<'_>, states: &mut [RayState; LANES]) {
+    fn shade_unlit(&self, SlabToShade { node, shares, .. }: SlabToShade<'_>, states: &mut [RayState; LANES]) {
         each_lane(shares.lanes(), |lane| {
             let mut samples = shares.samples[lane];
             while samples != 0 {
@@ -92,7 +92,7 @@ impl Shader {
         &self,
         lights: &[LightSource],
         surfaces: &Surfaces,
-        Shown { packet, slab, node, shares, shadows }: Shown<'_>,
+        SlabToShade { packet, slab, node, shares, shadows }: SlabToShade<'_>,
         mut refraction: Option<&mut RefractionStates>,
         states: &mut [RayState; LANES],
     ) {

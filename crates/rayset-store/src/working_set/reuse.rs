@@ -30,7 +30,7 @@ pub struct Reuse {
     marks: Vec<Mark>,
     /// How many places of the last round this one has reached.
     reached: usize,
-    place: Place,
+    place: RoundPosition,
     /// Pages that this round and the last have passed, the latest last.
     passed: VecDeque<Used>,
     /// Pages that the current slab has gone through and that are used again, the latest last.
@@ -44,14 +44,14 @@ pub struct Reuse {
 /// How far a round has come: the packet, counted from the beginning of the round, and the first
 /// sample of its slab.
 #[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
-struct Place {
+struct RoundPosition {
     packet: u32,
     sample: u64,
 }
 
 /// When a round came to a place.
 struct Mark {
-    place: Place,
+    place: RoundPosition,
     time: u64,
 }
 
@@ -68,7 +68,7 @@ struct Used {
 impl Reuse {
     /// A round begins; `now` is the time of the last use of any page.
     pub(super) fn begin_round(&mut self, now: u64) {
-        (self.reached, self.place, self.goes_in_turn) = (0, Place::default(), false);
+        (self.reached, self.place, self.goes_in_turn) = (0, RoundPosition::default(), false);
         self.marks.clear();
         self.in_turn.clear();
         self.marks.push(Mark { place: self.place, time: now });
@@ -93,7 +93,8 @@ impl Reuse {
             return;
         }
         self.in_turn.clear();
-        self.place = Place { packet: self.place.packet + u32::from(sample < self.place.sample), sample };
+        self.place =
+            RoundPosition { packet: self.place.packet + u32::from(sample < self.place.sample), sample };
         if self.marks.len() < MOST_MARKS {
             self.marks.push(Mark { place: self.place, time: now });
         }

@@ -11,13 +11,13 @@ use rayset_store::spill::Spill;
 
 /// The state that all stages of a build share.
 pub(super) struct Context<'a> {
-    pub(super) place: Place<'a>,
+    pub(super) place: BuildPlace<'a>,
     pub(super) options: &'a BuildOptions,
     pub(super) control: &'a BuildControl<'a>,
 }
 
 /// Where the cloud is built, and where records are stored temporarily.
-pub(super) enum Place<'a> {
+pub(super) enum BuildPlace<'a> {
     Disk { output: &'a Destination, temp_dir: PathBuf },
     Memory,
 }
@@ -26,8 +26,8 @@ impl Context<'_> {
     /// The folder of temporary files.
     pub(super) fn temp_dir(&self) -> PathBuf {
         match &self.place {
-            Place::Disk { temp_dir, .. } => temp_dir.clone(),
-            Place::Memory => "memory".into(),
+            BuildPlace::Disk { temp_dir, .. } => temp_dir.clone(),
+            BuildPlace::Memory => "memory".into(),
         }
     }
 
@@ -37,10 +37,10 @@ impl Context<'_> {
 
     pub(super) fn spill(&self) -> Result<Spill, BuildError> {
         match &self.place {
-            Place::Disk { output, temp_dir } => {
+            BuildPlace::Disk { output, temp_dir } => {
                 Spill::create(output, temp_dir).map_err(self.io("create a temporary file in"))
             }
-            Place::Memory => Ok(Spill::in_memory()),
+            BuildPlace::Memory => Ok(Spill::in_memory()),
         }
     }
 

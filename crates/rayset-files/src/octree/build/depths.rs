@@ -14,7 +14,7 @@ use crate::points::{ColorDepth, ColumnType, Schema};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Depths {
     /// By the number of the source.
-    pub(super) guessed: BTreeMap<u32, Seen>,
+    pub(super) guessed: BTreeMap<u32, ColorValues>,
     /// Numbers of points without colours, by the [`bucket`] of their intensity.
     pub(super) intensities: BTreeMap<u16, u64>,
     /// Number of points that have neither a colour nor an intensity.
@@ -25,7 +25,7 @@ pub(super) struct Depths {
 
 /// The colours of a source that does not state a depth.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Seen {
+pub(super) struct ColorValues {
     /// Type of its numbers: 0 for integers, 1 for single and 2 for double precision.
     pub(super) family: u8,
     pub(super) largest: f32,
@@ -77,7 +77,7 @@ impl Depths {
             self.has_stated = true;
             return;
         }
-        let seen = self.guessed.entry(number).or_insert(Seen { family, ..Seen::default() });
+        let seen = self.guessed.entry(number).or_insert(ColorValues { family, ..ColorValues::default() });
         seen.points += 1;
         for value in color.into_iter().filter(|value| value.is_finite()) {
             seen.largest = seen.largest.max(value);
@@ -103,7 +103,10 @@ impl Depths {
     /// Includes the colours of other records.
     pub(super) fn merge(&mut self, other: &Self) {
         for (number, seen) in &other.guessed {
-            let all = self.guessed.entry(*number).or_insert(Seen { family: seen.family, ..Seen::default() });
+            let all = self
+                .guessed
+                .entry(*number)
+                .or_insert(ColorValues { family: seen.family, ..ColorValues::default() });
             all.largest = all.largest.max(seen.largest);
             all.has_fractions |= seen.has_fractions;
             all.points += seen.points;
@@ -116,16 +119,16 @@ impl Depths {
     }
 
     /// Whether the colours of a source are all black where other sources have colours.
-    fn is_blank(&self, seen: &Seen) -> bool {
+    fn is_blank(&self, seen: &ColorValues) -> bool {
         seen.largest <= 0.0 && (self.has_stated || self.guessed.values().any(|other| other.largest > 0.0))
     }
 
     /// The depth of a source.
-    fn depth(&self, seen: &Seen) -> u32 {
+    fn depth(&self, seen: &ColorValues) -> u32 {
         let by_others = || {
             let others = self.guessed.values().filter(|other| other.family == seen.family);
             let mut sources = [0_usize; 3];
-            others.filter_map(Seen::depth).for_each(|depth| sources[depth as usize] += 1);
+            others.filter_map(ColorValues::depth).for_each(|depth| sources[depth as usize] += 1);
             // The smaller of two that are as frequent.
             let most = sources.iter().copied().max().unwrap_or(0);
             sources.iter().position(|&number| number == most && most > 0).map_or(UNIT, |depth| depth as u32)
@@ -221,7 +224,7 @@ fn inputs(number: u64) -> String {
     if number == 1 { "1 input".into() } else { format!("{number} inputs") }
 }
 
-impl Seen {
+impl ColorValues {
     /// The depth that the values themselves have; `None` if they fit any.
     fn depth(&self) -> Option<u32> {
         match self.largest {

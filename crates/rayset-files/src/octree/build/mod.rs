@@ -34,7 +34,7 @@ use std::time::Duration;
 
 use self::assemble::{Assembler, Output};
 pub use self::builder::CloudBuilder;
-use self::context::{Context, Place};
+use self::context::{BuildPlace, Context};
 pub use self::control::{BuildControl, NoProgress, Progress, Stage};
 pub use self::error::{BuildError, Quantity, Skipped};
 use self::ingest::Ingested;
@@ -74,7 +74,7 @@ pub fn run_in_memory(
     control: &BuildControl<'_>,
 ) -> Result<(Cloud, BuildReport), BuildError> {
     check_options(options, &sources)?;
-    let context = Context { place: Place::Memory, options, control };
+    let context = Context { place: BuildPlace::Memory, options, control };
     let (output, report) = build(&context, sources, Output::in_memory())?;
     let cloud = Cloud::from_bytes(output.into_bytes()).map_err(BuildError::Open)?;
     Ok((cloud, report))
@@ -98,7 +98,7 @@ pub fn run(
     // Before any work, so that an unwritable output is detected immediately.
     let file = OutputFile::create(&destination)?;
     remove_leftovers(&temp_dir, &destination);
-    let context = Context { place: Place::Disk { output: &destination, temp_dir }, options, control };
+    let context = Context { place: BuildPlace::Disk { output: &destination, temp_dir }, options, control };
     let (output, report) = build(&context, sources, Output::to_file(file))?;
     context.check()?;
     output.publish()?;

@@ -16,7 +16,7 @@ use super::pipeline;
 use super::plan::{Cell, Event, LEAF_POINTS, Plan, Pyramid};
 use super::record::KeyMaker;
 use super::region::Region;
-use super::sorted::{Entry, Records, Sorted};
+use super::sorted::{KeyOfRecord, Records, Sorted};
 use rayset_base::geometry::curve::MAX_LEVEL;
 use rayset_store::spill::Spill;
 
@@ -46,7 +46,7 @@ pub(super) fn capacity(memory_bytes: u64, threads: usize, stride: usize) -> u64 
     // bucket more than there are threads is alive. A third of the budget is for these, and a
     // quarter for the buffers of the scatter; the rest is for a second level of the same if a
     // stretch is too large.
-    let per_record = (2 * stride + size_of::<Entry>() + 16) as u64;
+    let per_record = (2 * stride + size_of::<KeyOfRecord>() + 16) as u64;
     let cap = memory_bytes / 3 / (threads as u64 + 2) / per_record;
     cap.clamp(2 * LEAF_POINTS, MOST_SORTED)
 }
@@ -434,8 +434,8 @@ impl<P: Pack> OwnList<'_, P> {
             return Ok(());
         }
         let stride = partition.stride;
-        let entries: Vec<Entry> = (self.carry.chunks_exact(stride).take(count).enumerate())
-            .map(|(index, record)| Entry { key: partition.keys.key(record), index: index as u32 })
+        let entries: Vec<KeyOfRecord> = (self.carry.chunks_exact(stride).take(count).enumerate())
+            .map(|(index, record)| KeyOfRecord { key: partition.keys.key(record), index: index as u32 })
             .collect();
         let piece = self.pack.own(Sorted::in_order(&self.carry, &entries, stride));
         partition.context.check()?;

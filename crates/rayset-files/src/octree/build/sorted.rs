@@ -4,7 +4,7 @@ use super::record::{Key, KeyMaker};
 
 /// Key and index of a record.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Entry {
+pub(super) struct KeyOfRecord {
     pub(super) key: Key,
     pub(super) index: u32,
 }
@@ -12,7 +12,7 @@ pub(super) struct Entry {
 /// Records in memory, with their sorted order.
 pub(super) struct Records {
     bytes: Vec<u8>,
-    entries: Vec<Entry>,
+    entries: Vec<KeyOfRecord>,
     stride: usize,
 }
 
@@ -20,13 +20,13 @@ pub(super) struct Records {
 #[derive(Clone, Copy)]
 pub(super) struct Sorted<'a> {
     bytes: &'a [u8],
-    pub(super) entries: &'a [Entry],
+    pub(super) entries: &'a [KeyOfRecord],
     stride: usize,
 }
 
 impl<'a> Sorted<'a> {
     /// Records that are in file order already.
-    pub(super) fn in_order(bytes: &'a [u8], entries: &'a [Entry], stride: usize) -> Self {
+    pub(super) fn in_order(bytes: &'a [u8], entries: &'a [KeyOfRecord], stride: usize) -> Self {
         Self { bytes, entries, stride }
     }
 
@@ -73,7 +73,7 @@ impl Records {
             if index % 8192 == 0 {
                 go_on()?;
             }
-            self.entries.push(Entry { key: keys.key(record), index: index as u32 });
+            self.entries.push(KeyOfRecord { key: keys.key(record), index: index as u32 });
         }
         Ok(())
     }
@@ -86,7 +86,7 @@ impl Records {
     /// Records that equal each other are in any order.
     pub(super) fn sort(&mut self) {
         let (bytes, stride) = (&self.bytes, self.stride);
-        let record = |e: &Entry| &bytes[e.index as usize * stride..(e.index as usize + 1) * stride];
+        let record = |e: &KeyOfRecord| &bytes[e.index as usize * stride..(e.index as usize + 1) * stride];
         self.entries.sort_unstable_by(|a, b| a.key.cmp(&b.key).then_with(|| record(a).cmp(record(b))));
     }
 

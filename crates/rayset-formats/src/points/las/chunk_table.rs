@@ -19,7 +19,7 @@ const BYTES: u32 = 1;
 
 /// A chunk's entry in the table.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Entry {
+pub(super) struct ChunkEntry {
     /// Number of points if it varies between chunks, otherwise 0.
     pub(super) points: u64,
     pub(super) bytes: u64,
@@ -33,7 +33,7 @@ pub(super) struct ChunkTable {
     /// Byte offset in the file at which the table begins.
     place: u64,
     left: u32,
-    last: Entry,
+    last: ChunkEntry,
 }
 
 /// The result of reading the whole table.
@@ -90,11 +90,11 @@ impl ChunkTable {
             coder.read_init_bytes().map_err(|e| Trouble::from_io(e, place, short))?;
         }
         let numbers = IntegerDecompressorBuilder::new().bits(32).contexts(2).build_initialized();
-        Ok(Self { coder, numbers, has_points, place, left, last: Entry::default() })
+        Ok(Self { coder, numbers, has_points, place, left, last: ChunkEntry::default() })
     }
 
     /// The next entry; `None` at the end.
-    pub(super) fn next(&mut self) -> Result<Option<Entry>, Trouble> {
+    pub(super) fn next(&mut self) -> Result<Option<ChunkEntry>, Trouble> {
         if self.left == 0 {
             return Ok(None);
         }
@@ -106,7 +106,7 @@ impl ChunkTable {
             decoded.map(|n| u64::from(n as u32)).map_err(|e| Trouble::from_io(e, self.place, &what))
         };
         let points = if self.has_points { number(self.last.points, POINTS)? } else { 0 };
-        self.last = Entry { points, bytes: number(self.last.bytes, BYTES)? };
+        self.last = ChunkEntry { points, bytes: number(self.last.bytes, BYTES)? };
         Ok(Some(self.last))
     }
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::super::data::{Place, data_at, regular_file_bytes};
+use super::super::data::{VoxelSpan, data_at, regular_file_bytes};
 use super::objects::{Array, Location, Object, Objects, Positions};
 use super::words::Words;
 use rayset_base::geometry::{DAffine3, DMat3};
@@ -126,7 +126,7 @@ fn voxels(
         Location::Beside(name, offset) => (path.with_file_name(name), *offset),
     };
     if !array.text {
-        return Place { path: &path, start, bytes, rest: None }.plain();
+        return VoxelSpan { path: &path, start, bytes, rest: None }.plain();
     }
     let left = regular_file_bytes(&path)?.saturating_sub(start);
     // At least one digit each, and one separator between two numbers.

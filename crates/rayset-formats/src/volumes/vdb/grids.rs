@@ -12,7 +12,7 @@ const NUMBER_MARK: char = '\u{1e}';
 const HALF: &str = "_HalfFloat";
 
 /// A grid in a file.
-pub(super) struct Entry {
+pub(super) struct GridDescriptor {
     pub(super) name: String,
     /// The type of its tree, as in `Tree_float_5_4_3`.
     pub(super) tree: String,
@@ -27,7 +27,7 @@ pub(super) struct Entry {
 /// What the beginning of a file says.
 pub(super) struct Head {
     /// All grids, or the first alone if the file does not say where the others are.
-    pub(super) entries: Vec<Entry>,
+    pub(super) entries: Vec<GridDescriptor>,
     /// The name of the program that wrote the file; empty if it does not say.
     pub(super) creator: String,
 }
@@ -76,13 +76,13 @@ pub(super) fn read(stream: &mut Stream) -> Result<Head, Wrong> {
 }
 
 /// A grid, and the offset of its end.
-fn entry(stream: &mut Stream) -> Result<(Entry, u64), Wrong> {
+fn entry(stream: &mut Stream) -> Result<(GridDescriptor, u64), Wrong> {
     let name = stream.text(MOST_NAME_BYTES)?;
     let tree = stream.text(MOST_NAME_BYTES)?;
     let instance = !stream.text(MOST_NAME_BYTES)?.is_empty();
     // Where it begins, where its values do, where it ends. It begins right here.
     let [_, _, end] = [stream.i64()?, stream.i64()?, stream.i64()?];
-    let entry = Entry {
+    let entry = GridDescriptor {
         name: name.split(NUMBER_MARK).next().unwrap_or_default().to_owned(),
         half: tree.ends_with(HALF),
         tree: tree.trim_end_matches(HALF).to_owned(),

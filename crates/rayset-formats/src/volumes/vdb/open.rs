@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::super::orientation::Orientation;
 use super::dense::Dense;
-use super::grids::{self, Entry, Head};
+use super::grids::{self, GridDescriptor, Head};
 use super::stream::{Stream, Wrong};
 use super::transform;
 use super::tree::{Bounds, Tree};
@@ -114,7 +114,7 @@ impl Grid {
 }
 
 /// The grid that is read, and the type of its values. An error says which grids there are.
-fn chosen(entries: &[Entry]) -> Result<(&Entry, Stored), String> {
+fn chosen(entries: &[GridDescriptor]) -> Result<(&GridDescriptor, Stored), String> {
     let readable = entries.iter().filter_map(|entry| {
         let stored = match entry.tree.as_str() {
             "Tree_float_5_4_3" => Stored::F32,
@@ -134,8 +134,9 @@ fn chosen(entries: &[Entry]) -> Result<(&Entry, Stored), String> {
     })
 }
 
-fn names(entries: &[Entry]) -> String {
-    let kind = |entry: &Entry| entry.tree.trim_start_matches("Tree_").trim_end_matches("_5_4_3").to_owned();
+fn names(entries: &[GridDescriptor]) -> String {
+    let kind =
+        |entry: &GridDescriptor| entry.tree.trim_start_matches("Tree_").trim_end_matches("_5_4_3").to_owned();
     let names: Vec<String> =
         entries.iter().map(|entry| format!("`{}` ({})", entry.name, kind(entry))).collect();
     names.join(", ")

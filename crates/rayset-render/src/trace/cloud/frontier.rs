@@ -44,24 +44,24 @@ pub(super) struct Runs {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Entry {
+struct Ahead {
     first: u64,
     last: u64,
     item: Item,
 }
 
-impl PartialEq for Entry {
+impl PartialEq for Ahead {
     fn eq(&self, other: &Self) -> bool {
         self.first == other.first
     }
 }
-impl Eq for Entry {}
-impl PartialOrd for Entry {
+impl Eq for Ahead {}
+impl PartialOrd for Ahead {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
-impl Ord for Entry {
+impl Ord for Ahead {
     /// The heap yields its greatest entry first, so nearer is greater. The order of ties does not
     /// matter: runs are sorted before they are used.
     fn cmp(&self, other: &Self) -> Ordering {
@@ -81,7 +81,7 @@ pub(super) struct ActiveRuns {
 /// Nodes and runs ahead of a packet.
 #[derive(Default)]
 pub(super) struct Frontier {
-    heap: BinaryHeap<Entry>,
+    heap: BinaryHeap<Ahead>,
     walk: Walk,
 }
 
@@ -93,7 +93,7 @@ pub(in crate::trace) fn run_bounds(cloud: &CloudPlacement, points: &PointPage<'_
 
 /// What a frontier belongs to: one packet in one cloud.
 #[derive(Clone, Copy)]
-pub(super) struct Place<'a> {
+pub(super) struct PacketInCloud<'a> {
     pub(super) access: Access<'a>,
     pub(super) cloud: &'a CloudPlacement,
     /// In the cloud's space.
@@ -101,7 +101,7 @@ pub(super) struct Place<'a> {
     pub(super) rays: &'a LiveRays,
 }
 
-impl<'a> Place<'a> {
+impl<'a> PacketInCloud<'a> {
     fn nodes(&self) -> RetainedNodes<'a> {
         RetainedNodes { access: self.access, cloud: self.cloud }
     }
@@ -109,7 +109,7 @@ impl<'a> Place<'a> {
 
 impl Frontier {
     /// Restarts at the root.
-    pub(super) fn begin(&mut self, place: Place<'_>) -> Result<(), Halt> {
+    pub(super) fn begin(&mut self, place: PacketInCloud<'_>) -> Result<(), Halt> {
         self.heap.clear();
         let mut none = Vec::new();
         let mut opening = Opening::new(place, &mut self.heap, 0, &mut none);
@@ -125,14 +125,14 @@ impl Frontier {
     /// that only samples without effect can reach are left for later.
     pub(super) fn advance(
         &mut self,
-        place: Place<'_>,
+        place: PacketInCloud<'_>,
         end: u64,
         active: &mut Vec<ActiveRuns>,
     ) -> Result<(), Halt> {
         let mut opening = Opening::new(place, &mut self.heap, end, active);
         let outcome = self.walk.go_on(&mut place.nodes(), &mut opening);
         let opened_last = opening.entry;
-        if let (Err(Halt::Deferred(_)), Some(Entry { item: Item::Node(node), .. })) = (&outcome, opened_last)
+        if let (Err(Halt::Deferred(_)), Some(Ahead { item: Item::Node(node), .. })) = (&outcome, opened_last)
         {
             self.request_ahead(place, &node, end);
         }
@@ -141,8 +141,8 @@ impl Frontier {
 
     /// Called when a page of a node is absent: requests, in one batch, all pages that this slab and
     /// the next `slabs_on_a_miss` slabs will open.
-    fn request_ahead(&self, place: Place<'_>, node: &Node, end: u64) {
-        let Place { access, cloud, packet, rays } = place;
+    fn request_ahead(&self, place: PacketInCloud<'_>, node: &Node, end: u64) {
+        let PacketInCloud { access, cloud, packet, rays } = place;
         let until = end + access.slabs_on_a_miss * SLAB_SAMPLES as u64;
         let mut pages: Vec<u32> = cloud.pages_to_open(node).collect();
         for entry in self.heap.iter().filter(|entry| entry.first < until) {
@@ -158,8 +158,8 @@ impl Frontier {
     /// Starts at the nearest node ahead that the packet's middle ray meets and descends to where
     /// the ray first meets points, through nodes in memory only; requests the first page that is
     /// absent.
-    pub(super) fn precache(&self, place: Place<'_>) {
-        let Place { access, cloud, packet, .. } = place;
+    pub(super) fn precache(&self, place: PacketInCloud<'_>) {
+        let PacketInCloud { access, cloud, packet, .. } = place;
         let middle = packet.ray(packet.len() / 2);
         let mut line = Line { cloud, middle, nearest: None, pages: Vec::new() };
         let mut nodes = NodesInMemory::new(access.pages, cloud);
@@ -179,19 +179,19 @@ impl Frontier {
 
 /// The nodes that samples of a packet before one need, while they are opened.
 struct Opening<'t> {
-    place: Place<'t>,
-    heap: &'t mut BinaryHeap<Entry>,
+    place: PacketInCloud<'t>,
+    heap: &'t mut BinaryHeap<Ahead>,
     /// The first sample that needs nothing yet.
     end: u64,
     active: &'t mut Vec<ActiveRuns>,
     /// The entry that is visited.
-    entry: Option<Entry>,
+    entry: Option<Ahead>,
 }
 
 impl<'t> Opening<'t> {
     fn new(
-        place: Place<'t>,
-        heap: &'t mut BinaryHeap<Entry>,
+        place: PacketInCloud<'t>,
+        heap: &'t mut BinaryHeap<Ahead>,
         end: u64,
         active: &'t mut Vec<ActiveRuns>,
     ) -> Self {
@@ -201,7 +201,7 @@ impl<'t> Opening<'t> {
     /// Examines the bounds of a node's own runs. This needs their pages, which are soon needed
     /// again for the points.
     fn open_own(&mut self, node: &Node, walk: &mut Walk) -> Result<(), Halt> {
-        let Place { access, cloud, packet, rays } = self.place;
+        let PacketInCloud { access, cloud, packet, rays } = self.place;
         if !walk.may_look_at_runs_of(node, cloud.header()) {
             return Err(cloud.broken(node.own.first_page).into());
         }
@@ -210,7 +210,7 @@ impl<'t> Opening<'t> {
             if node.own.runs > MOST_SINGLE_RUNS {
                 let (first, last) = rays.samples_in(packet, node_bounds).unwrap_or((0, 0));
                 let runs = Runs { page, first: range.start as u16, end: range.end as u16 };
-                self.heap.push(Entry { first, last, item: Item::Runs(runs) });
+                self.heap.push(Ahead { first, last, item: Item::Runs(runs) });
                 return;
             }
             for index in range {
@@ -218,12 +218,12 @@ impl<'t> Opening<'t> {
                 let Some((first, last)) = rays.samples_in(packet, &bounds) else { continue };
                 let item = Item::Runs(Runs { page, first: index as u16, end: index as u16 + 1 });
                 if last - first <= MOST_SAMPLES_AT_ONCE {
-                    self.heap.push(Entry { first, last, item });
+                    self.heap.push(Ahead { first, last, item });
                     continue;
                 }
                 let ranges =
                     ranges_of_points(self.place, points, index).unwrap_or_else(|| vec![(first, last)]);
-                self.heap.extend(ranges.into_iter().map(|(first, last)| Entry { first, last, item }));
+                self.heap.extend(ranges.into_iter().map(|(first, last)| Ahead { first, last, item }));
             }
         })
     }
@@ -231,9 +231,9 @@ impl<'t> Opening<'t> {
 
 impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
     fn meet(&mut self, node: Node) {
-        let Place { cloud, packet, rays, .. } = self.place;
+        let PacketInCloud { cloud, packet, rays, .. } = self.place;
         if let Some((first, last)) = rays.samples_in(packet, &node.bounds(cloud.root_cell)) {
-            self.heap.push(Entry { first, last, item: Item::Node(node) });
+            self.heap.push(Ahead { first, last, item: Item::Node(node) });
         }
     }
 
@@ -254,13 +254,13 @@ impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
     }
 
     fn visit(&mut self, node: &Node, walk: &mut Walk, _: &mut RetainedNodes<'t>) -> Result<Visit, Halt> {
-        let Place { cloud, packet, rays, .. } = self.place;
+        let PacketInCloud { cloud, packet, rays, .. } = self.place;
         let bounds = node.bounds(cloud.root_cell);
         // Rays that met it may have ended since.
         let Some(range) = rays.samples_in(packet, &bounds) else { return Ok(Visit::Skip) };
         if rays.misses_now(&bounds, range) {
             if let Some(entry) = self.entry.filter(|entry| entry.last >= self.end) {
-                self.heap.push(Entry { first: self.end, ..entry });
+                self.heap.push(Ahead { first: self.end, ..entry });
             }
             return Ok(Visit::Skip);
         }
@@ -328,8 +328,8 @@ pub(in crate::trace) fn each_own_page(
 
 /// Ranges of samples that the points of a wide run may reach, or `None` if there are too many. They
 /// may be much smaller than the range of its bounds, because rays miss most points of a wide run.
-fn ranges_of_points(place: Place<'_>, points: &PointPage<'_>, run: usize) -> Option<Vec<(u64, u64)>> {
-    let Place { cloud, packet, rays, .. } = place;
+fn ranges_of_points(place: PacketInCloud<'_>, points: &PointPage<'_>, run: usize) -> Option<Vec<(u64, u64)>> {
+    let PacketInCloud { cloud, packet, rays, .. } = place;
     let run = points.run(run);
     let mut radii = [cloud.header().radius.min(); RUN_POINTS];
     if let Some(stored) = run.radii(cloud.header()) {

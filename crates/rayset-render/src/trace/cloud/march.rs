@@ -1,6 +1,6 @@
 //! The march of one packet through one cloud, slab by slab.
 
-use super::frontier::{ActiveRuns, Frontier, Place, Runs, run_bounds};
+use super::frontier::{ActiveRuns, Frontier, PacketInCloud, Runs, run_bounds};
 use super::live_rays::{LiveRays, bits_between};
 use super::shading::CloudShading;
 use super::volume::CloudVolume;
@@ -83,7 +83,7 @@ impl CloudMarch {
         self.active.clear();
         let rays = LiveRays::new(&self.packet, simd);
         let cloud = &volume.placement;
-        self.frontier.begin(Place { access, cloud, packet: &self.packet, rays: &rays })?;
+        self.frontier.begin(PacketInCloud { access, cloud, packet: &self.packet, rays: &rays })?;
         self.rays = Some(rays);
         Ok(())
     }
@@ -110,7 +110,7 @@ impl CloudMarch {
         let lanes = live.lanes() & going;
         let Some(rays) = self.rays.as_mut().filter(|_| lanes != 0) else { return Ok(()) };
         rays.become_rays(&self.packet, slab, live, going, simd);
-        let place = Place { access, cloud: &volume.placement, packet: &self.packet, rays };
+        let place = PacketInCloud { access, cloud: &volume.placement, packet: &self.packet, rays };
         self.frontier.advance(place, slab.end(), &mut self.active)?;
         if access.follows_lines {
             self.frontier.precache(place);

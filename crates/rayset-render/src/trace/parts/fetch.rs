@@ -16,7 +16,7 @@ const OPEN_PARTS: usize = 128;
 
 /// Where a block is.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Entry {
+pub(super) struct BlockPlace {
     pub(super) part: u32,
     pub(super) stored: StoredBlock,
 }
@@ -34,7 +34,7 @@ impl Fetcher {
 
     /// The bytes of blocks, each of a part, in their order, read at the same time. Their checksums
     /// have yet to be compared.
-    pub(super) fn fetch(&mut self, blocks: &[(&Source, Entry)]) -> Result<Vec<Vec<u8>>, PartError> {
+    pub(super) fn fetch(&mut self, blocks: &[(&Source, BlockPlace)]) -> Result<Vec<Vec<u8>>, PartError> {
         let mut reads = Vec::with_capacity(blocks.len());
         for &(source, entry) in blocks {
             reads.push((source, self.opened(source, entry.part as usize)?, entry.stored));

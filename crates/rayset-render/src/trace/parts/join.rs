@@ -2,7 +2,7 @@
 
 use super::block::Contents;
 use super::error::PartError;
-use super::fetch::{AT_A_TIME, Entry, Fetcher};
+use super::fetch::{AT_A_TIME, BlockPlace, Fetcher};
 use super::header::About;
 use super::part::{Part, Source, StoredBlock};
 use super::share::{Blocks, Share};
@@ -32,7 +32,7 @@ pub struct Joined {
     about: About,
     blocks: Blocks,
     /// Row after row.
-    entries: Vec<Entry>,
+    entries: Vec<BlockPlace>,
     note: Vec<u8>,
     memory_bytes: u64,
     /// Blocks that are read at a time.
@@ -95,12 +95,12 @@ impl Joined {
             gathered.add(&part)?;
         }
         let Gathered { sources, indices } = gathered;
-        let mut entries = vec![Entry::default(); blocks.count() as usize];
+        let mut entries = vec![BlockPlace::default(); blocks.count() as usize];
         let mut next: Vec<_> = indices.iter().map(|index| index.iter()).collect();
         for (number, block) in blocks.dealt(of) {
             let part = number - 1;
             let stored = next[part as usize].next().copied().unwrap_or_default();
-            entries[blocks.number(block)] = Entry { part, stored };
+            entries[blocks.number(block)] = BlockPlace { part, stored };
         }
         let note = first.note()?;
         let at_a_time = at_a_time(&first);
@@ -214,18 +214,19 @@ impl Joined {
     ) -> Result<(), PartError> {
         let mut there = Vec::with_capacity(columns.len());
         for &column in columns {
-            let Entry { part, stored } = self.entries[self.blocks.number((column, row))];
+            let BlockPlace { part, stored } = self.entries[self.blocks.number((column, row))];
             let Some(source) = &self.sources[part as usize] else { continue };
             let region = self.blocks.region((column, row));
             let (length, pixels) = (stored.length as usize, region.pixels() as usize);
             if length > pixels * self.about.contents.pixel_bytes() {
                 return Err(damaged(source, stored, &region, &format!("{length} bytes for {pixels} pixels")));
             }
-            there.push((region, source, Entry { part, stored }));
+            there.push((region, source, BlockPlace { part, stored }));
         }
-        let blocks: Vec<(&Source, Entry)> = there.iter().map(|&(_, source, entry)| (source, entry)).collect();
+        let blocks: Vec<(&Source, BlockPlace)> =
+            there.iter().map(|&(_, source, entry)| (source, entry)).collect();
         let fetched = fetcher.fetch(&blocks)?;
-        for ((region, source, Entry { stored, .. }), bytes) in there.into_iter().zip(fetched) {
+        for ((region, source, BlockPlace { stored, .. }), bytes) in there.into_iter().zip(fetched) {
             self.unpack((source, stored), &bytes, &region, rendered, band)?;
         }
         Ok(())
@@ -286,7 +287,7 @@ fn needed_bytes(part: &Part, blocks: &Blocks) -> u64 {
     let rows = about.rendered().rows.len() as u32;
     let encoder = if about.contents == Contents::Layers { exr_bytes(rows) * width } else { 0 };
     // The index of a part, and of all.
-    let index = blocks.count() * 2 * size_of::<Entry>() as u64;
+    let index = blocks.count() * 2 * size_of::<BlockPlace>() as u64;
     let parts = u64::from(part.share().of()) * PART_BYTES;
     let rows = (block_rows + shading + ENCODER_ROWS) * width * pixel;
     let block_bytes = block_rows * block_rows * about.contents.pixel_bytes() as u64 + WAITING_BYTES;

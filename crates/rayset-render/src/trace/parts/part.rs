@@ -30,7 +30,7 @@ pub(super) struct Source {
     pub(super) name: String,
     /// A file or an object is opened for each use, because there may be more parts than can be open
     /// at a time.
-    place: Place,
+    place: PartSource,
     pub(super) seed: u32,
 }
 
@@ -43,7 +43,7 @@ pub(super) struct StoredBlock {
 }
 
 #[derive(Clone)]
-enum Place {
+enum PartSource {
     Named(PathBuf),
     Storage(Arc<dyn Storage>),
 }
@@ -58,8 +58,8 @@ impl Source {
     /// The bytes, ready to be read.
     pub(super) fn open(&self) -> Result<Arc<dyn Storage>, PartError> {
         match &self.place {
-            Place::Storage(storage) => Ok(storage.clone()),
-            Place::Named(path) => InputFile::open(path)
+            PartSource::Storage(storage) => Ok(storage.clone()),
+            PartSource::Named(path) => InputFile::open(path)
                 .map(InputFile::into_storage)
                 .map_err(|error| PartError::read(&self.name, error)),
         }
@@ -68,8 +68,8 @@ impl Source {
     /// Whether every read costs a round trip.
     pub(super) fn is_far(&self) -> bool {
         match &self.place {
-            Place::Named(path) => address_of(path).is_some(),
-            Place::Storage(storage) => storage.transport().is_some_and(|transport| transport.is_far()),
+            PartSource::Named(path) => address_of(path).is_some(),
+            PartSource::Storage(storage) => storage.transport().is_some_and(|transport| transport.is_far()),
         }
     }
 
@@ -89,7 +89,7 @@ impl Part {
     /// [`PartError`] if it cannot be read, or is no complete part of this version.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, PartError> {
         let path = path.as_ref();
-        Self::at(shown(path), Place::Named(path.to_owned()))
+        Self::at(shown(path), PartSource::Named(path.to_owned()))
     }
 
     /// Opens a part whose bytes are read from any storage; `name` is for messages.
@@ -97,7 +97,7 @@ impl Part {
     /// # Errors
     /// As [`open`](Self::open).
     pub fn from_storage(name: &str, storage: Arc<dyn Storage>) -> Result<Self, PartError> {
-        Self::at(name.to_owned(), Place::Storage(storage))
+        Self::at(name.to_owned(), PartSource::Storage(storage))
     }
 
     /// Which share of its picture it is.
@@ -106,7 +106,7 @@ impl Part {
         self.share
     }
 
-    fn at(name: String, place: Place) -> Result<Self, PartError> {
+    fn at(name: String, place: PartSource) -> Result<Self, PartError> {
         let mut source = Source { name, place, seed: 0 };
         let storage = source.open()?;
         let length = storage.length().map_err(|error| PartError::read(&source.name, error))?;

@@ -59,7 +59,7 @@ pub(super) struct Found {
     /// rank in it, and the page.
     pub(super) waiting: BTreeSet<(u32, u32, PageId)>,
     /// Pages found ahead that some upcoming tile may need.
-    pub(super) seen: HashMap<PageId, Seen>,
+    pub(super) seen: HashMap<PageId, FoundPage>,
     /// Of these, the ones that a tile wants that is not yet passed.
     pub(super) wanted: u64,
     /// Node pages that stay until the picture is finished.
@@ -82,7 +82,7 @@ pub(super) struct Found {
 }
 
 /// A page that has been found ahead.
-pub(super) struct Seen {
+pub(super) struct FoundPage {
     /// Its key in `waiting`, if it is there.
     waits: Option<(u32, u32)>,
     /// The last place known to want it.
@@ -137,7 +137,7 @@ impl Found {
         let seen = self.seen.entry(page).or_insert_with(|| {
             self.fresh += 1;
             self.wanted += 1;
-            Seen { waits: None, wanted_by: last, use_by }
+            FoundPage { waits: None, wanted_by: last, use_by }
         });
         if seen.wanted_by < self.passed_to {
             self.wanted += 1;

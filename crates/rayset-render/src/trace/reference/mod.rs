@@ -100,7 +100,7 @@ const NOTHING: Sample = Sample {
 };
 
 /// The part of a graph that one ray can meet: fields without the points that are out of its reach.
-enum Seen<'a> {
+enum ReachableNode<'a> {
     Cloud { object: &'a CloudObject, field: Along<'a> },
     Grid { object: &'a GridObject, voxels: &'a [f32] },
     Procedural(&'a dyn Procedural),
@@ -108,7 +108,7 @@ enum Seen<'a> {
 }
 
 struct SeenNode<'a> {
-    seen: Seen<'a>,
+    seen: ReachableNode<'a>,
     local_from_world: DAffine3,
     transfers: &'a [Transfer],
     material: Material,
@@ -272,18 +272,18 @@ impl<'a> ReferenceRenderer<'a> {
                     }
                     None => Along::Nothing,
                 };
-                Seen::Cloud { object, field }
+                ReachableNode::Cloud { object, field }
             }
             Shape::Grid(object) => {
                 let known = self.grids.iter().find(|(at, _)| *at == Arc::as_ptr(node));
-                Seen::Grid { object, voxels: known.map_or(&[], |(_, voxels)| voxels) }
+                ReachableNode::Grid { object, voxels: known.map_or(&[], |(_, voxels)| voxels) }
             }
-            Shape::Procedural(field) => Seen::Procedural(&**field),
+            Shape::Procedural(field) => ReachableNode::Procedural(&**field),
             Shape::Operator(operator, children) => {
                 let seen = children
                     .iter()
                     .map(|child| self.seen(child, &world_from_local, material, (ray, purpose)));
-                Seen::Operator(*operator, seen.collect())
+                ReachableNode::Operator(*operator, seen.collect())
             }
         };
         SeenNode { seen, local_from_world, transfers: &node.transfers, material }
@@ -291,9 +291,9 @@ impl<'a> ReferenceRenderer<'a> {
 
     fn sample(&self, node: &SeenNode<'_>, q: DVec3) -> Sample {
         let mut sample = match &node.seen {
-            Seen::Cloud { object, field } => self.sample_cloud(node, object, field, q),
-            Seen::Grid { object, voxels } => self.sample_grid(node, object, voxels, q),
-            Seen::Procedural(field) => {
+            ReachableNode::Cloud { object, field } => self.sample_cloud(node, object, field, q),
+            ReachableNode::Grid { object, voxels } => self.sample_grid(node, object, voxels, q),
+            ReachableNode::Procedural(field) => {
                 let s = field.sample(node.local_from_world.transform_point3(q));
                 let (normal, boundary) = surface(node, s.implicit, s.gradient);
                 let opacity = s.opacity.clamp(0.0, MAX_OPACITY);
@@ -305,7 +305,7 @@ impl<'a> ReferenceRenderer<'a> {
                 let material = node.material.to_array();
                 Sample { opacity, color: s.color, normal, boundary, material, attributes }
             }
-            Seen::Operator(operator, children) => {
+            ReachableNode::Operator(operator, children) => {
                 let samples: Vec<Sample> = children.iter().map(|child| self.sample(child, q)).collect();
                 combine(*operator, &samples, self.scene.unit_distance)
             }

@@ -11,7 +11,7 @@ use super::flight::{Ended, Flight, Request};
 use super::limit::{RequestLimit, Waiting};
 use super::options::FarOptions;
 use super::pace::Pace;
-use super::queue::{Joining, Queue, Wanted};
+use super::queue::{Joining, PendingRead, Queue};
 use super::reader::{Outlook, RangeError, RangeReader, RangeSink};
 use super::unread::unread;
 
@@ -79,8 +79,9 @@ impl Engine {
     }
 
     /// Queues reads, and starts as many requests as may be in flight.
-    pub(super) fn submit(self: &Arc<Self>, reads: Vec<Wanted>, urgent: bool) {
-        let (empty, reads): (Vec<Wanted>, Vec<Wanted>) = reads.into_iter().partition(|read| read.length == 0);
+    pub(super) fn submit(self: &Arc<Self>, reads: Vec<PendingRead>, urgent: bool) {
+        let (empty, reads): (Vec<PendingRead>, Vec<PendingRead>) =
+            reads.into_iter().partition(|read| read.length == 0);
         empty.into_iter().for_each(|read| read.complete(Ok(())));
         let mut state = self.lock();
         if state.closed {

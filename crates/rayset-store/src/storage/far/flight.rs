@@ -4,12 +4,12 @@ use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use super::queue::Wanted;
+use super::queue::PendingRead;
 
 /// Reads that one range of bytes fills.
 pub(super) struct Request {
     /// By ascending offset; there is at least one.
-    pub(super) reads: Vec<Wanted>,
+    pub(super) reads: Vec<PendingRead>,
     /// Attempts that have failed.
     pub(super) failures: u32,
     /// Attempts that the server has refused because it was asked for too much at a time.
@@ -22,7 +22,7 @@ impl Request {
     /// The bytes from the first read's to the last one's.
     pub(super) fn range(&self) -> Range<u64> {
         let start = self.reads.iter().map(|read| read.offset).min().unwrap_or(0);
-        start..self.reads.iter().map(Wanted::end).max().unwrap_or(start)
+        start..self.reads.iter().map(PendingRead::end).max().unwrap_or(start)
     }
 
     pub(super) fn bytes(&self) -> u64 {
@@ -90,7 +90,7 @@ impl Flight {
 }
 
 impl Landing {
-    fn put(&mut self, bytes: &[u8]) -> Vec<Wanted> {
+    fn put(&mut self, bytes: &[u8]) -> Vec<PendingRead> {
         // A server that sends more than it was asked for is not listened to.
         let wanted = usize::try_from(self.range.end - self.at).unwrap_or(usize::MAX).min(bytes.len());
         let came = self.at..self.at + wanted as u64;
@@ -130,7 +130,7 @@ mod tests {
                     assert!(outcome.is_ok());
                     send.send((offset, buffer.bytes()[..length].to_vec())).expect("somebody listens");
                 });
-                Wanted { offset, length, buffer: PageBuffer::new(length), done }
+                PendingRead { offset, length, buffer: PageBuffer::new(length), done }
             });
             let request = Request { reads: reads.into(), failures: 0, refusals: 0, since: Instant::now() };
             let range = request.range();

@@ -26,7 +26,7 @@ pub use self::counts::FarCounts;
 use self::engine::Engine;
 pub use self::limit::RequestLimit;
 pub use self::options::FarOptions;
-use self::queue::Wanted;
+use self::queue::PendingRead;
 pub use self::reader::{RangeError, RangeReader, RangeSink};
 pub use self::simulated::{Behaviour, Rate, SimulatedCounts, SimulatedObject};
 pub use self::unread::{copy_of_reading, is_of_reading};
@@ -114,7 +114,7 @@ impl Storage for FarStorage {
                 // Whoever has stopped waiting does not need it.
                 let _ = send.send((start, length, bytes, outcome));
             });
-            Wanted { offset: offset + start as u64, length, buffer: PageBuffer::new(length), done }
+            PendingRead { offset: offset + start as u64, length, buffer: PageBuffer::new(length), done }
         });
         self.transport.0.submit(reads.collect(), true);
         drop(send);
@@ -140,7 +140,7 @@ impl Drop for FarStorage {
 
 impl Transport for FarTransport {
     fn submit(&self, batch: Vec<Read>) {
-        self.0.submit(batch.into_iter().map(Wanted::from).collect(), false);
+        self.0.submit(batch.into_iter().map(PendingRead::from).collect(), false);
     }
 
     fn submit_awaited(&self, read: Read) {
@@ -164,7 +164,7 @@ impl Transport for FarTransport {
     }
 }
 
-impl From<Read> for Wanted {
+impl From<Read> for PendingRead {
     fn from(read: Read) -> Self {
         let Read { offset, buffer, done, .. } = read;
         Self { offset, length: buffer.bytes().len(), buffer, done }

@@ -8,14 +8,14 @@ use crate::storage::buffer::PageBuffer;
 use crate::storage::transport::Completion;
 
 /// A read that somebody wants: `length` bytes from `offset` on, into the beginning of a buffer.
-pub(super) struct Wanted {
+pub(super) struct PendingRead {
     pub(super) offset: u64,
     pub(super) length: usize,
     pub(super) buffer: PageBuffer,
     pub(super) done: Completion,
 }
 
-impl Wanted {
+impl PendingRead {
     pub(super) fn end(&self) -> u64 {
         self.offset + self.length as u64
     }
@@ -41,7 +41,7 @@ type Key = (u64, u64);
 /// Reads that wait, most urgent first.
 #[derive(Default)]
 pub(super) struct Queue {
-    by_offset: BTreeMap<Key, Wanted>,
+    by_offset: BTreeMap<Key, PendingRead>,
     /// The order in which they are to be read, including some that have been taken already.
     order: VecDeque<Key>,
     last: u64,
@@ -49,7 +49,7 @@ pub(super) struct Queue {
 
 impl Queue {
     /// Adds a read, behind all others or, if it is urgent, before them.
-    pub(super) fn push(&mut self, wanted: Wanted, urgent: bool) {
+    pub(super) fn push(&mut self, wanted: PendingRead, urgent: bool) {
         self.last += 1;
         let key = (wanted.offset, self.last);
         self.by_offset.insert(key, wanted);
@@ -57,7 +57,7 @@ impl Queue {
     }
 
     /// Takes the most urgent read and its neighbours, by ascending offset; empty if nothing waits.
-    pub(super) fn take(&mut self, joining: Joining) -> Vec<Wanted> {
+    pub(super) fn take(&mut self, joining: Joining) -> Vec<PendingRead> {
         let mut taken = VecDeque::new();
         while let Some(key) = self.order.pop_front() {
             if let Some(first) = self.by_offset.remove(&key) {
@@ -79,13 +79,13 @@ impl Queue {
     }
 
     /// Takes everything.
-    pub(super) fn drain(&mut self) -> Vec<Wanted> {
+    pub(super) fn drain(&mut self) -> Vec<PendingRead> {
         self.order.clear();
         std::mem::take(&mut self.by_offset).into_values().collect()
     }
 
     /// The nearest read behind a range, if it is near enough and fits. Reads may overlap.
-    fn after(&mut self, range: &Range<u64>, joining: Joining) -> Option<Wanted> {
+    fn after(&mut self, range: &Range<u64>, joining: Joining) -> Option<PendingRead> {
         let (&key, next) = self.by_offset.range((range.start, 0)..).next()?;
         let near = next.offset <= range.end.saturating_add(joining.gap_bytes);
         let fits = next.end().max(range.end) - range.start <= joining.most_bytes;
@@ -93,7 +93,7 @@ impl Queue {
     }
 
     /// The nearest read before a range, if it is near enough and fits.
-    fn before(&mut self, range: &Range<u64>, joining: Joining) -> Option<Wanted> {
+    fn before(&mut self, range: &Range<u64>, joining: Joining) -> Option<PendingRead> {
         let (&key, before) = self.by_offset.range(..(range.start, 0)).next_back()?;
         let near = range.start <= before.end().saturating_add(joining.gap_bytes);
         // One that reaches beyond the range's end would have to be read to there.
@@ -108,11 +108,11 @@ mod tests {
 
     use super::*;
 
-    fn wanted(offset: u64, length: usize) -> Wanted {
-        Wanted { offset, length, buffer: PageBuffer::new(length), done: Box::new(|_, _| {}) }
+    fn wanted(offset: u64, length: usize) -> PendingRead {
+        PendingRead { offset, length, buffer: PageBuffer::new(length), done: Box::new(|_, _| {}) }
     }
 
-    fn offsets(taken: &[Wanted]) -> Vec<u64> {
+    fn offsets(taken: &[PendingRead]) -> Vec<u64> {
         taken.iter().map(|read| read.offset).collect()
     }
 

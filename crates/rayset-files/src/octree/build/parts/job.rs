@@ -1,7 +1,7 @@
 //! A step of a part, under way: what it knows of the whole build, and the files that it reads and
 //! writes.
 
-use super::super::context::{Context, Place};
+use super::super::context::{BuildPlace, Context};
 use super::super::control::BuildControl;
 use super::super::error::BuildError;
 use super::super::options::{BuildOptions, check_resources};
@@ -140,7 +140,7 @@ impl<'a> Job<'a> {
     /// The context of work whose temporary files belong to `output`.
     pub(super) fn context<'b>(&'b self, output: &'b Destination) -> Context<'b> {
         let temp_dir = self.options.temp_dir.clone().unwrap_or_else(|| output.folder().to_owned());
-        let place = Place::Disk { output, temp_dir };
+        let place = BuildPlace::Disk { output, temp_dir };
         Context { place, options: &self.options, control: self.control }
     }
 

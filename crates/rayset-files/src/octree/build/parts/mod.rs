@@ -31,7 +31,7 @@ use self::summary::Summary;
 use self::work::{Records, Sorting};
 use super::BuildReport;
 use super::assemble::{Assembler, Output};
-use super::context::{Context, Place};
+use super::context::{BuildPlace, Context};
 use super::control::{BuildControl, Stage};
 use super::error::BuildError;
 use super::ingest::{self, Stretch};
@@ -186,7 +186,7 @@ impl BuildParts {
             return job::check_request(&found, &self.request);
         }
         let data = self.exchange.create_data(BuildStep::Read, part)?;
-        let place = Place::Disk { output: &data.destination, temp_dir: self.exchange.folder.clone() };
+        let place = BuildPlace::Disk { output: &data.destination, temp_dir: self.exchange.folder.clone() };
         let context = Context { place, options, control };
         let mut output = std::io::BufWriter::with_capacity(1 << 20, data.writer_at(0)?);
         let totals = ingest::read(&context, columns, stretches, |record| {

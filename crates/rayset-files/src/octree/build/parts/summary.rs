@@ -1,7 +1,7 @@
 //! What a part of `read` says of its records, as JSON; floating-point numbers as their bits, so
 //! that they stay what they are.
 
-use super::super::depths::{Depths, Seen};
+use super::super::depths::{ColorValues, Depths};
 use super::super::error::Skipped;
 use super::super::options::{BuildOptions, InvalidPolicy, Precision};
 use super::super::record::RecordLayout;
@@ -97,7 +97,7 @@ impl StoredDepths {
 
     fn restored(&self) -> Depths {
         let guessed = self.guessed.iter().map(|&(number, family, largest, has_fractions, points)| {
-            (number, Seen { family, largest: f32::from_bits(largest), has_fractions, points })
+            (number, ColorValues { family, largest: f32::from_bits(largest), has_fractions, points })
         });
         Depths {
             guessed: guessed.collect(),
