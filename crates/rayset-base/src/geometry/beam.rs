@@ -23,6 +23,7 @@ impl Beam {
     };
 
     /// Enlarges the bound to contain a ray. The ray's direction may have any length.
+    #[inline]
     pub fn include(&mut self, ray: &Ray) {
         self.origin_min = self.origin_min.min(ray.origin);
         self.origin_max = self.origin_max.max(ray.origin);
@@ -32,6 +33,7 @@ impl Beam {
 
     /// The largest difference between the directions of the rays along any axis.
     #[must_use]
+    #[inline]
     pub fn spread(&self) -> f64 {
         (self.direction_max - self.direction_min).max_element()
     }
@@ -39,6 +41,7 @@ impl Beam {
     /// The interval of distances t ≥ 0 in which some ray may be inside a box, or `None` if no ray
     /// meets it. Conservative.
     #[must_use]
+    #[inline]
     pub fn span(&self, bounds: &Aabb) -> Option<(f64, f64)> {
         // On each axis, neither face of the bound may have passed the opposite face of the box: one
         // inequality a + b·t ≥ 0 for each face.

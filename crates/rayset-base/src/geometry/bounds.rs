@@ -18,17 +18,20 @@ impl Aabb {
 
     /// A box with the given corners.
     #[must_use]
+    #[inline]
     pub fn new(min: DVec3, max: DVec3) -> Self {
         Self { min, max }
     }
 
     /// Whether the box is empty.
     #[must_use]
+    #[inline]
     pub fn is_empty(&self) -> bool {
         self.min.cmpgt(self.max).any()
     }
 
     /// Enlarges the box to contain `p`.
+    #[inline]
     pub fn include(&mut self, p: DVec3) {
         self.min = self.min.min(p);
         self.max = self.max.max(p);
@@ -36,12 +39,14 @@ impl Aabb {
 
     /// The smallest box that contains both boxes.
     #[must_use]
+    #[inline]
     pub fn union(self, other: Self) -> Self {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
     /// The intersection of both boxes; empty if they are disjoint.
     #[must_use]
+    #[inline]
     pub fn intersection(self, other: Self) -> Self {
         Self { min: self.min.max(other.min), max: self.max.min(other.max) }
     }
@@ -67,30 +72,35 @@ impl Aabb {
 
     /// The box enlarged by `margin` on every side.
     #[must_use]
+    #[inline]
     pub fn inflated(self, margin: f64) -> Self {
         Self { min: self.min - margin, max: self.max + margin }
     }
 
     /// Centre of the box, which must not be empty.
     #[must_use]
+    #[inline]
     pub fn center(&self) -> DVec3 {
         (self.min + self.max) * 0.5
     }
 
     /// Edge lengths.
     #[must_use]
+    #[inline]
     pub fn size(&self) -> DVec3 {
         self.max - self.min
     }
 
     /// Whether `p` lies in the box or on its faces.
     #[must_use]
+    #[inline]
     pub fn contains(&self, p: DVec3) -> bool {
         p.cmpge(self.min).all() && p.cmple(self.max).all()
     }
 
     /// Whether `other` is empty or lies in this box; faces may touch.
     #[must_use]
+    #[inline]
     pub fn encloses(&self, other: &Self) -> bool {
         other.is_empty() || (self.contains(other.min) && self.contains(other.max))
     }
@@ -99,6 +109,7 @@ impl Aabb {
     /// misses the box.
     #[doc(hidden)]
     #[must_use]
+    #[inline]
     pub fn clip(&self, ray: &Ray) -> Option<(f64, f64)> {
         let (mut t_enter, mut t_exit) = (0.0_f64, f64::INFINITY);
         for axis in 0..3 {

@@ -15,6 +15,7 @@ pub struct Ray {
 impl Ray {
     /// The position at parameter `t`.
     #[must_use]
+    #[inline]
     pub fn at(&self, t: f64) -> DVec3 {
         self.origin + self.direction * t
     }

@@ -164,17 +164,18 @@ impl Grid {
         }
         let stride = (voxels / bricks * read + voxels % bricks).div_ceil(most as u64).max(1);
         let file = self.file.reopened()?;
-        let mut count = 0_u64;
+        let mut until_next = 0_u64;
         let chosen: Vec<u32> = (0..read).map(|at| ((2 * at + 1) * bricks / (2 * read)) as u32).collect();
         file.each_of(SectionKind::VOXELS, &chosen, |page, offset, bytes| {
             self.file.check(page, offset, bytes)?;
             self.for_each_own_voxel(u64::from(page), bytes, |place, value| {
-                if count.is_multiple_of(stride) {
+                if until_next == 0 {
+                    until_next = stride;
                     let place = DVec3::from_array(place.map(|i| i as f64));
                     batch.position.push(header.space_from_voxel.transform_point3(place).to_array());
                     batch.columns[0].push(header.value(value));
                 }
-                count += 1;
+                until_next -= 1;
             });
             Ok::<(), ScanError>(())
         })?;

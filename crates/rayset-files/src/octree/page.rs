@@ -27,6 +27,7 @@ pub enum Encoding {
 }
 
 impl Encoding {
+    #[inline]
     fn from_code(code: u16) -> Option<Self> {
         [Self::U16, Self::U32, Self::F64].get(usize::from(code)).copied()
     }
@@ -40,12 +41,14 @@ impl Encoding {
     }
 
     /// Number of steps in one unit of a run's extent.
+    #[inline]
     fn extent_steps(self) -> f64 {
         if self == Self::U32 { 16_777_216.0 } else { 256.0 }
     }
 
     /// Bytes of one point's position.
     #[must_use]
+    #[inline]
     pub fn position_bytes(self) -> usize {
         match self {
             Self::U16 => 6,
@@ -73,12 +76,14 @@ pub struct RunHead {
 
 /// 2^−(COARSEST_STEP + code), constructed from its bits because it is needed for every run near a
 /// ray.
+#[inline]
 fn step_fraction(code: u8) -> f64 {
     f64::from_bits((1023 - COARSEST_STEP as u64 - u64::from(code)) << 52)
 }
 
 impl RunHead {
     /// Reads the record from its 18 bytes.
+    #[inline]
     pub fn decode(bytes: &[u8]) -> Result<Self, PageError> {
         let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
         let u24_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], 0]);
@@ -114,6 +119,7 @@ impl RunHead {
     }
 
     /// Where its data are in the page, in units of four bytes.
+    #[inline]
     pub fn place(&self) -> usize {
         usize::from(self.offset_words)
     }
@@ -121,23 +127,27 @@ impl RunHead {
     /// Number of points, 1 to 128.
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "a run holds at least one point")]
+    #[inline]
     pub fn len(&self) -> usize {
         usize::from(self.count)
     }
 
     /// How positions are stored.
     #[must_use]
+    #[inline]
     pub fn encoding(&self) -> Encoding {
         self.encoding
     }
 
     /// An upper bound on the radii of the run, at most 1/128 above the largest.
     #[must_use]
+    #[inline]
     pub fn radius_max(&self) -> f32 {
         f32::from_bits(u32::from(self.radius_max) << 16)
     }
 
     /// The record of a run whose radii are multiplied by a factor above 0.
+    #[inline]
     fn with_radii_scaled(self, factor: f32) -> Self {
         Self {
             radius_max: round_up_to_16_bits((self.radius_max() * factor).clamp(f32::MIN_POSITIVE, 1e30)),
@@ -147,12 +157,14 @@ impl RunHead {
 
     /// Length of one offset step, world space.
     #[must_use]
+    #[inline]
     pub fn step(&self, root: RootCell) -> f64 {
         root.size * step_fraction(self.step_code)
     }
 
     /// The box that contains the run's positions.
     #[must_use]
+    #[inline]
     pub fn position_bounds(&self, root: RootCell) -> Aabb {
         let min = root.min + DVec3::from_array(self.origin.map(f64::from)) * (root.size / ORIGIN_STEPS);
         let unit = self.step(root) * self.encoding.extent_steps();
@@ -161,6 +173,7 @@ impl RunHead {
 
     /// Size of the run's data in bytes.
     #[must_use]
+    #[inline]
     pub fn data_bytes(&self, columns: ColumnLayout) -> usize {
         (self.len() * self.encoding.position_bytes()).next_multiple_of(4) + columns.run_bytes(self.len())
     }
@@ -343,6 +356,7 @@ impl<'a> PointPage<'a> {
 
     /// Number of runs.
     #[must_use]
+    #[inline]
     pub fn len(&self) -> usize {
         self.runs
     }
@@ -355,6 +369,7 @@ impl<'a> PointPage<'a> {
 
     /// A run's record. Panics if `index` is not less than [`len`](Self::len).
     #[must_use]
+    #[inline]
     pub fn head(&self, index: usize) -> RunHead {
         assert!(index < self.runs, "run {index} of {}", self.runs);
         let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
@@ -365,6 +380,7 @@ impl<'a> PointPage<'a> {
 
     /// A run with its data.
     #[must_use]
+    #[inline]
     pub fn run(&self, index: usize) -> Run<'a> {
         let head = self.head(index);
         let start = 4 * usize::from(head.offset_words);
@@ -381,6 +397,7 @@ pub struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
+    #[inline]
     fn words(&self, byte: usize, count: usize) -> impl Iterator<Item = [u8; 4]> + use<'a> {
         self.data[byte..byte + 4 * count].chunks_exact(4).map(|w| [w[0], w[1], w[2], w[3]])
     }
@@ -438,6 +455,7 @@ impl<'a> Run<'a> {
     }
 
     /// Decodes the same coordinates in `f64`.
+    #[inline]
     pub fn decode_local_f64(&self, root: RootCell, out: &mut [[f64; RUN_POINTS]; 3]) {
         self.for_each_offset(root, |axis, i, v| out[axis][i] = v);
     }
@@ -451,27 +469,32 @@ impl<'a> Run<'a> {
         (0..self.head.len()).map(|i| center + DVec3::new(local[0][i], local[1][i], local[2][i])).collect()
     }
 
+    #[inline]
     fn column_start(&self) -> usize {
         (self.head.len() * self.head.encoding.position_bytes()).next_multiple_of(4)
     }
 
+    #[inline]
     fn f32_column(&self, column: usize) -> impl Iterator<Item = f32> + use<'a> {
         let n = self.head.len();
         self.words(self.column_start() + 4 * n * column, n).map(f32::from_le_bytes)
     }
 
     /// The stored radii, scaled as the header says, if it says that there are any.
+    #[inline]
     pub fn radii(&self, header: &Header) -> Option<impl Iterator<Item = f32> + use<'a>> {
         let scale = header.radius_scale;
         header.radius.is_stored().then(|| self.f32_column(0).map(move |radius| radius * scale))
     }
 
     /// The stored weights, if the header says that there are any.
+    #[inline]
     pub fn weights(&self, header: &Header) -> Option<impl Iterator<Item = f32> + use<'a>> {
         header.weight.is_stored().then(|| self.f32_column(usize::from(header.radius.is_stored())))
     }
 
     /// The display-encoded (sRGB) colours, if the header says that there are any.
+    #[inline]
     pub fn colors(&self, header: &Header) -> Option<impl Iterator<Item = [u8; 3]> + use<'a>> {
         let column = usize::from(header.radius.is_stored()) + usize::from(header.weight.is_stored());
         let n = self.head.len();
@@ -481,6 +504,7 @@ impl<'a> Run<'a> {
     }
 
     /// An attribute column, by its index in the header, rounded to `f32`.
+    #[inline]
     pub fn attribute(&self, header: &Header, index: usize) -> impl Iterator<Item = f32> + use<'a> {
         let kind = header.attributes[index].kind;
         self.attribute_bytes(header, index).chunks_exact(kind.bytes()).map(move |b| kind.decode(b) as f32)
@@ -489,6 +513,7 @@ impl<'a> Run<'a> {
     /// The bytes of an attribute column, by its index in the header: values of its own type,
     /// little-endian.
     #[must_use]
+    #[inline]
     pub fn attribute_bytes(&self, header: &Header, index: usize) -> &'a [u8] {
         let n = self.head.len();
         let start = self.column_start() + header.column_layout(index).run_bytes(n);

@@ -112,7 +112,7 @@ fn splat_runs<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
     let mut reaching = [[0_u32; LANES]; BLOCKS];
     let mut lanes = 0;
     for (number, item) in runs.iter_mut().enumerate() {
-        item.frames.set(simd, &item.run, job.packet, job.slab);
+        set_frames(simd, item, job);
         for block in 0..BLOCKS {
             let mut meets = item.frames.meets[block] & job.lanes;
             lanes |= meets;
@@ -177,18 +177,39 @@ impl Group {
         if self.asked & bit == 0 {
             self.asked |= bit;
             if self.rays >= LEAST_RAYS
-                && let Some(line) = GroupLine::new(simd, &item.run, packet, &item.frames, self.first)
+                && let Some(near) = points_near(simd, item, packet, self.first)
             {
                 self.bounded |= bit;
-                let near = line.points_near(simd, &item.run);
                 if near == [0, 0] {
                     self.empty |= bit;
                 }
-                item.near_chunks = item.near.select(&item.run.points, near);
             }
         }
         if self.bounded & bit == 0 { ray.chunks_in_reach(simd, &item.run) } else { item.near_chunks }
     }
+}
+
+/// Sets the frames of a run. As [`points_near`], it is the same for all kernels, and compiled apart
+/// from them: there are 42 loops over kernels and quantities for each set of instructions.
+fn set_frames<S: Simd>(simd: S, item: &mut BatchedRun, job: &SplatJob<'_>) {
+    simd.vectorize(
+        #[inline(always)]
+        || item.frames.set(simd, &item.run, job.packet, job.slab),
+    );
+}
+
+/// Selects the points of a run near a group of rays: a bit for each. `None` if the group is too
+/// wide for that.
+fn points_near<S: Simd>(simd: S, item: &mut BatchedRun, packet: &Packet, first: usize) -> Option<[u64; 2]> {
+    simd.vectorize(
+        #[inline(always)]
+        || {
+            let line = GroupLine::new(simd, &item.run, packet, &item.frames, first)?;
+            let near = line.points_near(simd, &item.run);
+            item.near_chunks = item.near.select(&item.run.points, near);
+            Some(near)
+        },
+    )
 }
 
 /// Adds runs to the samples of one ray, block by block, as far as the ray goes. `reaching`: for

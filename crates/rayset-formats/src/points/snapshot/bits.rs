@@ -30,6 +30,7 @@ macro_rules! bits {
                 Datatype::FixedPoint { size: size_of::<$word>() as _, signed: false, byte_order: NATIVE }
             }
 
+            #[inline]
             fn from_bytes(bytes: &[u8], datatype: &Datatype) -> Result<Self, Error> {
                 match (bytes.first_chunk(), layout(datatype)) {
                     (Some(&bytes), Some((size, order))) if size == size_of::<$word>() => {
