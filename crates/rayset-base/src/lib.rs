@@ -2,6 +2,7 @@
 //! numbers as files have them. A part of the library `rayset`, which says what of it is public.
 #![deny(unsafe_code)]
 
+pub mod bytes;
 pub mod cancel;
 pub mod geometry;
 pub mod numbers;

@@ -171,13 +171,17 @@ fn least(folder: &Path, scene: &str, output: &str) -> u64 {
 
 /// The smallest memory that is named suffices, and more than `share` of it is used.
 fn check_least(name: &str, scene: &str, output: &str, share: f64) {
-    let folder = folder();
-    std::fs::write(folder.path().join("scene.json"), scene).expect("the scene is written");
-    let least = least(folder.path(), "scene.json", output);
+    check_least_in(folder().path(), name, scene, output, share);
+}
+
+/// The same for a scene of files in a folder.
+fn check_least_in(folder: &Path, name: &str, scene: &str, output: &str, share: f64) {
+    std::fs::write(folder.join("scene.json"), scene).expect("the scene is written");
+    let least = least(folder, "scene.json", output);
     let memory = least.to_string();
     let options = ["--threads", "2", "--memory", &memory, "--stats", "s.json"];
-    rayset(folder.path(), &[&["render", "scene.json", "-o", output], &options[..]].concat());
-    let text = std::fs::read_to_string(folder.path().join("s.json")).expect("statistics are written");
+    rayset(folder, &[&["render", "scene.json", "-o", output], &options[..]].concat());
+    let text = std::fs::read_to_string(folder.join("s.json")).expect("statistics are written");
     let stats: serde_json::Value = serde_json::from_str(&text).expect("statistics are JSON");
     let (peak, least) = (number(&stats, "peak_rss_bytes") / MIB, least as f64 / MIB);
     assert!(peak <= least, "{name}: {peak:.1} MiB resident, where {least:.1} MiB are said to suffice");
@@ -207,6 +211,63 @@ fn wide_pictures_with_layers_need_no_more_memory_than_their_rows_take() {
     check_least("eight rows", &scene(131_072, 8), "o.exr", 0.75);
     check_least("twenty rows", &scene(65_536, 20), "o.exr", 0.75);
     check_least("many rows", &scene(16_384, 100), "o.exr", 0.75);
+}
+
+#[test]
+fn of_twelve_scenes_the_least_memory_suffices_and_three_quarters_of_it_do_not() {
+    let folder = folder();
+    let folder = folder.path();
+    rayset(folder, &["generate", "sphere-60k", "-o", "p.ply"]);
+    rayset(folder, &["build", "p.ply", "-o", "a.rset"]);
+    rayset(folder, &["generate", "cube-10k", "-o", "p.ply"]);
+    rayset(folder, &["build", "p.ply", "-o", "b.rset"]);
+    let header = "ObjectType = Image\nNDims = 3\nDimSize = 48 48 48\nElementType = MET_UCHAR\nElementDataFile = v.raw\n";
+    std::fs::write(folder.join("v.mhd"), header).expect("a header");
+    let voxels: Vec<u8> = (0..48_u32.pow(3)).map(|i| (i % 48 * 5).min(255) as u8).collect();
+    std::fs::write(folder.join("v.raw"), voxels).expect("voxels");
+    rayset(folder, &["build", "v.mhd", "-o", "g.rset"]);
+    let cloud = r#"{"type": "cloud", "file": "a.rset", "transferFunction": {"opacity": {"extinction": 5}}}"#;
+    let other = r#"{"type": "cloud", "file": "b.rset", "transferFunction": {"opacity": {"extinction": 2}}}"#;
+    let grid = r#"{"type": "grid", "file": "g.rset", "transform": {"scale": 0.02},
+                   "transferFunction": {"opacity": [[100, 0], [250, 0.5]]}}"#;
+    let ball = |material: &str| format!(r#"{{"type": "sphere", "radius": 0.6, "material": {{{material}}}}}"#);
+    let operator = |operator: &str, children: &[&str]| {
+        format!(r#"{{"type": "{operator}", "children": [{}]}}"#, children.join(","))
+    };
+    let row: Vec<String> = (0..20)
+        .map(|i| {
+            format!(
+                r#"{{"type": "union", "children": [{cloud}], "transform": {{"translate": [{i}, 0, 0]}}}}"#
+            )
+        })
+        .collect();
+    let row: Vec<&str> = row.iter().map(String::as_str).collect();
+    let cut = operator("difference", &[cloud, r#"{"type": "box", "size": [1, 1, 1]}"#]);
+    let capped = cut.replacen('{', r##"{"cap": "#cc8844", "##, 1);
+    let sun = r#""lights": [{"type": "ambient", "intensity": 0.3}, {"type": "directional", "direction": [0, -1, -1]}],"#;
+    let exact = r#""rendering": {"shadows": "exact"},"#;
+    let cached = r#""rendering": {"shadows": "cached", "shadowResolution": 256},"#;
+    // What is kept of a cap is bounded, not known: finer ones use two thirds.
+    let coarse = r#""rendering": {"capResolution": 64},"#;
+    let occluded = r#""rendering": {"ambientOcclusion": 1},"#;
+    let scenes = [
+        ("a cloud", cloud.to_owned(), String::new(), "o.png"),
+        ("with exact shadows", cloud.to_owned(), format!("{sun}{exact}"), "o.png"),
+        ("with cached shadows", cloud.to_owned(), format!("{sun}{cached}"), "o.png"),
+        ("occluded", operator("union", &[cloud, other]), occluded.to_owned(), "o.png"),
+        ("a grid", grid.to_owned(), sun.to_owned(), "o.png"),
+        ("a grid in a cloud", operator("blend", &[grid, cloud]), format!("{sun}{cached}"), "o.png"),
+        ("an intersection", operator("intersection", &[cloud, other, grid]), sun.to_owned(), "o.png"),
+        ("a cut", cut, format!("{sun}{cached}"), "o.png"),
+        ("a cut with a cap", capped, format!("{sun}{coarse}"), "o.png"),
+        ("glass", operator("union", &[other, &ball(r#""refractiveIndex": 1.5"#)]), sun.to_owned(), "o.png"),
+        ("twenty clouds", operator("union", &row), String::new(), "o.png"),
+        ("layers", operator("union", &[cloud, other]), String::new(), "o.exr"),
+    ];
+    for (name, root, settings, output) in scenes {
+        let scene = format!(r#"{{"rayset": 1, "image": {{"size": [96, 72]}}, {settings} "root": {root}}}"#);
+        check_least_in(folder, name, &scene, output, 0.75);
+    }
 }
 
 /// A row of things that are cut open, each with a cap.

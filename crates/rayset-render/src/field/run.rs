@@ -103,6 +103,12 @@ impl RunDecoder {
         }
     }
 
+    /// Bytes that it takes besides itself.
+    pub(crate) fn bytes(&self) -> usize {
+        let columns = self.columns.scalars.capacity() + self.columns.labels.capacity();
+        size_of_val(&*self.linear_from_srgb) + columns * size_of::<usize>()
+    }
+
     /// Decodes a run for samples that are at least `step` apart, in the cloud's space.
     pub fn decode(&self, run: &Run<'_>, header: &Header, step: f64, simd: SimdLevel, out: &mut DecodedRun) {
         dispatch!(simd.level(), simd => self.decode_with(simd, run, header, step, out));

@@ -340,7 +340,7 @@ impl Node {
     }
 
     /// Calls `f` for the node and everything below, shared nodes once.
-    fn for_each_once(&self, f: &mut impl FnMut(&Self)) {
+    pub(super) fn for_each_once(&self, f: &mut impl FnMut(&Self)) {
         fn visit(node: &Node, seen: &mut HashSet<*const Node>, f: &mut impl FnMut(&Node)) {
             if seen.insert(std::ptr::from_ref(node)) {
                 f(node);

@@ -3,6 +3,7 @@
 //!
 //! Nothing here says how the work is done: threads, memory and input are handled by `trace`.
 
+mod bytes;
 mod camera;
 mod colormap;
 mod error;

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use super::colormap::Colormap;
 use super::{FARTHEST, SHORTEST};
 use crate::field::linear_from_srgb;
+use rayset_base::bytes::list_bytes;
 
 /// Opacity is limited to this, so that extinction stays finite.
 pub const MAX_OPACITY: f64 = 1.0 - 1.0 / 4096.0;
@@ -106,6 +107,11 @@ impl ColorMap {
         self.palette.display_color((value - low) / (high - low)).map(linear_from_srgb)
     }
 
+    /// Bytes of the stops that it has.
+    pub(super) fn bytes(&self) -> usize {
+        if let Palette::Stops(stops) = &self.palette { size_of_val(&**stops) } else { 0 }
+    }
+
     pub(crate) fn check(&self) -> Result<(), TransferError> {
         let (low, high) = self.range;
         let apart = (high - low).abs();
@@ -176,6 +182,11 @@ pub enum TransferError {
 }
 
 impl OpacityRule {
+    /// Bytes that it takes besides itself.
+    pub(crate) fn bytes(&self) -> usize {
+        if let Self::Curve(curve) = self { list_bytes(curve) } else { 0 }
+    }
+
     /// Checks the extinction coefficient or the curve.
     ///
     /// # Errors
@@ -279,6 +290,12 @@ pub fn max_extinction(unit_distance: f64) -> f64 {
 }
 
 impl TransferFunction {
+    /// Bytes that it takes besides itself.
+    pub(super) fn bytes(&self) -> usize {
+        let color = if let ColorRule::Map { map, .. } = &self.color { map.bytes() } else { 0 };
+        self.opacity.bytes() + color
+    }
+
     /// Checks the opacity rule and the colour map.
     ///
     /// # Errors

@@ -1,28 +1,21 @@
 //! The memory that a render needs besides pages, so that a budget for the whole process can be
-//! kept.
+//! kept: the sum of what a scene takes as given, compiled, and in the threads that trace it.
 
-use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::interior::graph as caps;
-use super::leaves::Leaves;
-use super::node_samples::{NodeSamples, RequiredOutputs};
-use super::program::PLACE_BYTES;
+use super::march::March;
+use super::program::{Program, Purpose, Unopened};
 use super::ray_tree::tree_bytes;
-use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES, TILE_MAKER_BYTES};
-use super::transfer::ColorTable;
-use crate::field::{LANES, SampleRow};
-use crate::scene::{
-    ColorRule, Lighting, MOST_ATTRIBUTES, Material, Node, OpacityRule, Operator, RenderSettings, Scene,
-    Shape, Transfer, TransferFunction,
-};
-use rayset_base::geometry::DAffine3;
+use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES, ShadowWorld};
+use crate::field::SimdLevel;
+use crate::scene::{RenderSettings, Scene};
 use rayset_files::grid::Grid;
 use rayset_files::grid::format::PAGE_BYTES;
 use rayset_files::octree::Cloud;
 use rayset_store::working_set::{OVERHEAD_BYTES, WorkingSet};
 
-/// Scratch memory, stack and bookkeeping of one thread that traces a single cloud.
+/// Stack, bookkeeping and tiles of one thread, as measured: besides what marches and shadows take.
 const THREAD_BYTES: u64 = 640 << 10;
 /// What look-ahead stores per page of the files, though it never has most of them in view at a
 /// time.
@@ -30,9 +23,6 @@ const LOOKAHEAD_BYTES: u64 = 24;
 /// One part in this many of the pages' memory is set aside for gaps in the allocator's memory for
 /// everything else.
 const ALLOCATOR_PART: u64 = 32;
-/// What a march through the graph keeps for every place: its range of samples, the states of its
-/// cloud, grid or field, its shared block.
-const MARCH_BYTES: u64 = (24 + 32 + size_of::<Option<NodeSamples>>()) as u64;
 /// Memory for the reads in flight and the threads that serve them.
 const READING_BYTES: u64 = 1 << 20;
 
@@ -66,62 +56,39 @@ impl SceneNeeds {
     /// The needs of a scene that has been checked.
     #[must_use]
     pub fn of(scene: &Scene, settings: &RenderSettings) -> Self {
-        match caps::sized(scene, settings) {
-            Some((scene, bytes)) => {
-                let (caps_bytes, spare_bytes) = (bytes.most, bytes.most - bytes.least);
-                Self { caps_bytes, spare_bytes, ..Self::of_graph(&scene, settings, true) }
-            }
-            None => Self::of_graph(scene, settings, false),
+        let compile = |scene, purpose| Program::compile(scene, purpose, SimdLevel::default());
+        let Some((capped, caps)) = caps::sized(scene, settings) else {
+            return Self::of_program(scene, settings, &compile(scene, settings.purpose()));
+        };
+        let needs = Self::of_program(&capped, settings, &compile(&capped, settings.purpose()));
+        // Caps are found before the picture's programs are there.
+        let surface = compile(scene, Purpose::Surface);
+        let counting = THREAD_BYTES + March::most_bytes(&surface) as u64;
+        Self {
+            caps_bytes: caps.most,
+            spare_bytes: caps.most - caps.least,
+            thread_bytes: needs.thread_bytes.max(counting),
+            scene_bytes: needs.scene_bytes.max((scene.bytes() + surface.bytes()) as u64),
+            ..needs
         }
     }
 
     /// The needs of a scene without caps, or of one in which something else takes their place.
-    fn of_graph(scene: &Scene, settings: &RenderSettings, has_caps: bool) -> Self {
-        let leaves = Leaves::of(scene);
-        let turns = has(scene, |node| {
-            node.material.is_some_and(|m| m.reflectance > 0.0 || m.refractive_index != 1.0)
-        });
-        let required = largest_outputs(scene, settings, turns, has_caps);
-        let census = Census::of(&scene.root);
-        let most_held = node_samples_held(&scene.root) + census.shared;
-        let picture = most_held * NodeSamples::bytes(required);
-        let opacity_only = RequiredOutputs { attributes: required.attributes, ..RequiredOutputs::default() };
-        let shadow =
-            if scene.lighting.throws_shadows() { most_held * NodeSamples::bytes(opacity_only) } else { 0 };
-        let passes = if shadow > 0 { 2 } else { 1 };
-        // Shadows have a march for rays and one for tables, each with node samples and clouds of
-        // its own.
-        let marches = if shadow > 0 { 3 } else { 1 };
-        let tree = if turns && settings.max_depth > 0 { tree_bytes(settings.max_depth) } else { 0 };
-        // Sums of attributes in the field of a cloud; of class labels, the label and what speaks
-        // for it.
-        let sums = 2
-            * u64::from(required.attributes.count_ones())
-            * marches
-            * (LANES * size_of::<SampleRow>()) as u64;
-        let lights = if let Lighting::Lit(lights) = &scene.lighting { lights.as_slice() } else { &[] };
-        let in_shadow = lights.iter().filter(|light| light.throws_shadows()).count();
-        let thread_bytes = THREAD_BYTES
-            + (picture + 2 * shadow) as u64
-            + marches * leaves.march_bytes()
-            + tree
-            + sums
-            + marches * census.places * MARCH_BYTES
-            + (in_shadow * LANES * size_of::<SampleRow>()) as u64
-            + if shadow > 0 { TILE_MAKER_BYTES as u64 } else { 0 };
-        let scene_bytes = census.given_bytes
-            + passes * (census.places * PLACE_BYTES + census.table_bytes)
-            + 4 * size_of_val(lights) as u64;
-        let shadow_tiles = DeepShadowMap::tiles_of(scene, settings.shadows);
+    fn of_program(scene: &Scene, settings: &RenderSettings, program: &Program<Unopened>) -> Self {
+        let (of_shadows, of_shadows_in_thread) = ShadowWorld::most_bytes(scene);
+        let turns = program.turns().any() && settings.max_depth > 0;
+        let tree = if turns { tree_bytes(settings.max_depth) } else { 0 };
+        let clouds: Vec<Arc<Cloud>> = once(program.clouds_of().cloned());
+        let grids: Vec<Arc<Grid>> = once(program.grids_of().cloned());
         Self {
-            request_bytes: request_bytes(&leaves),
-            clouds: leaves.clouds,
-            grids: leaves.grids,
-            scene_bytes,
+            request_bytes: request_bytes(&clouds, &grids),
+            clouds,
+            grids,
+            scene_bytes: (scene.bytes() + program.bytes() + of_shadows) as u64,
             caps_bytes: 0,
             spare_bytes: 0,
-            thread_bytes,
-            shadow_tiles,
+            thread_bytes: THREAD_BYTES + (March::most_bytes(program) + of_shadows_in_thread) as u64 + tree,
+            shadow_tiles: DeepShadowMap::tiles_of(scene, settings.shadows),
             layers: settings.records_layers(),
             writes_layers: settings.layers,
             ambient_occlusion: settings.ambient_occlusion > 0.0,
@@ -184,156 +151,23 @@ impl SceneNeeds {
     }
 }
 
+/// Files, each once.
+fn once<T>(files: impl Iterator<Item = Arc<T>>) -> Vec<Arc<T>> {
+    let mut known: Vec<Arc<T>> = Vec::new();
+    for file in files {
+        if !known.iter().any(|other| Arc::ptr_eq(other, &file)) {
+            known.push(file);
+        }
+    }
+    known
+}
+
 /// What requests to the files of a scene take at most; those of several files share it.
-fn request_bytes(leaves: &Leaves) -> u64 {
-    let clouds = leaves.clouds.iter().filter_map(|cloud| cloud.storage());
-    let storages = clouds.chain(leaves.grids.iter().filter_map(|grid| grid.storage()));
+fn request_bytes(clouds: &[Arc<Cloud>], grids: &[Arc<Grid>]) -> u64 {
+    let clouds = clouds.iter().filter_map(|cloud| cloud.storage());
+    let storages = clouds.chain(grids.iter().filter_map(|grid| grid.storage()));
     let transports = storages.filter_map(|storage| storage.transport());
     transports.map(|transport| transport.memory_bytes()).max().unwrap_or(0)
-}
-
-/// An upper bound on the number of node samples in use at a time, not counting those that several
-/// operators need.
-fn node_samples_held(node: &Node) -> usize {
-    let Shape::Operator(operator, children) = &node.shape else { return 1 };
-    let deepest = children.iter().map(|child| node_samples_held(child)).max().unwrap_or(0);
-    let own = if *operator == Operator::Intersection { children.len() } else { 2 };
-    own + deepest
-}
-
-/// The size of a graph, in numbers.
-#[derive(Default)]
-struct Census {
-    /// Number of places of the graph: nodes, each in one place of the world.
-    places: u64,
-    /// How many of these several operators need, or one operator needs several times.
-    shared: usize,
-    /// Bytes of the graph itself, counting shared nodes once.
-    given_bytes: u64,
-    /// Bytes of tables and curves, summed over all places.
-    table_bytes: u64,
-}
-
-/// A node with its transform to the world and its material: one instruction of a program.
-type InstructionKey = (*const Node, [u64; 12], [u64; 6]);
-
-impl Census {
-    fn of(root: &Arc<Node>) -> Self {
-        let mut census = Self::default();
-        let (mut known, mut nodes) = (HashMap::new(), HashSet::new());
-        census.visit(root, &DAffine3::IDENTITY, Material::default(), &mut known, &mut nodes);
-        census.places = known.len() as u64;
-        census.shared = known.values().filter(|&&uses| uses > 1).count();
-        census
-    }
-
-    fn visit(
-        &mut self,
-        node: &Arc<Node>,
-        world_from_parent: &DAffine3,
-        material: Material,
-        known: &mut HashMap<InstructionKey, u32>,
-        nodes: &mut HashSet<*const Node>,
-    ) {
-        let material = node.material.unwrap_or(material);
-        let world_from_local = *world_from_parent * node.parent_from_local;
-        let transform = world_from_local.to_cols_array().map(f64::to_bits);
-        let place = (Arc::as_ptr(node), transform, material.to_array().map(f64::to_bits));
-        let uses = known.entry(place).or_insert(0);
-        *uses += 1;
-        if *uses > 1 {
-            return;
-        }
-        self.table_bytes += tables(node);
-        if nodes.insert(Arc::as_ptr(node)) {
-            /// What the allocations of a node take besides their contents.
-            const BLOCKS: usize = 64;
-            let own = match &node.shape {
-                Shape::Procedural(field) => size_of_val(&**field),
-                Shape::Operator(_, children) => 2 * size_of_val(children.as_slice()),
-                Shape::Cloud(_) | Shape::Grid(_) => 0,
-            };
-            let transfers = size_of_val(node.transfers.as_slice());
-            self.given_bytes += (size_of::<Node>() + BLOCKS + own + transfers) as u64 + given(node);
-        }
-        if let Shape::Operator(_, children) = &node.shape {
-            children.iter().for_each(|child| self.visit(child, &world_from_local, material, known, nodes));
-        }
-    }
-}
-
-/// Bytes of a curve.
-fn curve_bytes(curve: &[(f64, f64)]) -> u64 {
-    // Twice, because the list may have grown point by point.
-    2 * size_of_val(curve) as u64
-}
-
-/// The transfer function over the values of a leaf, if it has one.
-fn transfer_of(node: &Node) -> Option<&TransferFunction> {
-    match &node.shape {
-        Shape::Cloud(object) => Some(&object.transfer),
-        Shape::Grid(object) => Some(&object.transfer),
-        Shape::Procedural(_) | Shape::Operator(..) => None,
-    }
-}
-
-/// Bytes of a node's compiled transfer functions, at each of its places.
-fn tables(node: &Node) -> u64 {
-    let of_leaf = transfer_of(node).map_or(0, |transfer| {
-        let curve = if let OpacityRule::Curve(curve) = &transfer.opacity { curve_bytes(curve) } else { 0 };
-        curve + if let ColorRule::Map { map, .. } = &transfer.color { ColorTable::bytes(map) } else { 0 }
-    });
-    let others = node.transfers.iter().map(|transfer| match transfer {
-        Transfer::Opacity { curve, .. } => curve_bytes(curve),
-        Transfer::Color { map, .. } => ColorTable::bytes(map),
-    });
-    // Each is in a list of its own, with its input.
-    of_leaf + others.map(|bytes| bytes + 256).sum::<u64>()
-}
-
-/// Bytes of a node's curves and palettes as given.
-fn given(node: &Node) -> u64 {
-    let stops = |map: &crate::scene::ColorMap| size_of_val(&*map.palette.stops()) as u64;
-    let of_leaf = transfer_of(node).map_or(0, |transfer| {
-        let curve = if let OpacityRule::Curve(curve) = &transfer.opacity { curve_bytes(curve) } else { 0 };
-        curve + if let ColorRule::Map { map, .. } = &transfer.color { stops(map) } else { 0 }
-    });
-    let others = node.transfers.iter().map(|transfer| match transfer {
-        Transfer::Opacity { curve, .. } => curve_bytes(curve),
-        Transfer::Color { map, .. } => stops(map),
-    });
-    of_leaf + others.sum::<u64>()
-}
-
-/// Whether `wanted` holds for any node of a scene.
-fn has(scene: &Scene, wanted: impl Fn(&Node) -> bool) -> bool {
-    let mut found = false;
-    scene.root.for_each(&mut |node| found |= wanted(node));
-    found
-}
-
-/// All outputs that may be required of any node of a scene.
-fn largest_outputs(
-    scene: &Scene,
-    settings: &RenderSettings,
-    turns_rays: bool,
-    has_caps: bool,
-) -> RequiredOutputs {
-    let lit = scene.lighting != Lighting::Unlit;
-    // To find out what is inside takes shading vectors.
-    let normal = lit || settings.records_layers() || has_caps;
-    let of_boundary = |operator| matches!(operator, Operator::Difference | Operator::Intersection);
-    let cuts =
-        || has(scene, |node| matches!(node.shape, Shape::Operator(operator, _) if of_boundary(operator)));
-    let names = scene.root.attributes_read().len().min(MOST_ATTRIBUTES) as u32;
-    RequiredOutputs {
-        color: true,
-        normal,
-        boundary: normal && (turns_rays || scene.lighting.throws_shadows() || cuts()),
-        outside: false,
-        material: settings.records_layers() || (lit && has(scene, |node| node.material.is_some())),
-        attributes: u32::MAX.checked_shr(32 - names).unwrap_or(0),
-    }
 }
 
 /// Divides the memory of a session that has prepared these scenes. Returns the bytes for pages, and

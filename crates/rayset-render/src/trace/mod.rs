@@ -19,7 +19,6 @@ mod inside;
 mod interior;
 mod job;
 mod layers;
-mod leaves;
 mod march;
 mod math;
 pub mod memory;

@@ -16,24 +16,31 @@ use super::procedural::ProceduralVolume;
 use super::transfer::{CompiledTransfer, Input};
 use crate::field::SimdLevel;
 use crate::scene::{
-    CloudObject, GridObject, LightKind, Lighting, Material, Node, Operator, Procedural, Scene, Shape,
+    CloudObject, GridObject, LightKind, Lighting, Material, Node, Operator, Procedural, RenderSettings,
+    Scene, Shape,
 };
+use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::{Aabb, DAffine3, Ray};
 use rayset_files::PagedFiles;
+use rayset_files::grid::Grid;
+use rayset_files::octree::Cloud;
 use rayset_store::storage::shown;
 use rayset_store::working_set::Object;
 
+/// In place of pages: a program is compiled before its files are opened.
+pub(super) struct Unopened;
+
 /// What an instruction does.
-pub(super) enum Action {
-    Cloud(Box<CloudVolume>),
-    Grid(Box<GridVolume>),
+pub(super) enum Action<P = Arc<Object>> {
+    Cloud(Box<CloudVolume<P>>),
+    Grid(Box<GridVolume<P>>),
     Procedural(Box<ProceduralVolume>),
     Operator(Operator, Vec<usize>),
 }
 
 /// One node of the graph, at one place in the world.
-pub(super) struct Instruction {
-    pub(super) action: Action,
+pub(super) struct Instruction<P = Arc<Object>> {
+    pub(super) action: Action<P>,
     /// Nothing outside of these is ever evaluated; world space.
     pub(super) bounds: Aabb,
     pub(super) required: RequiredOutputs,
@@ -61,10 +68,17 @@ pub(super) enum Purpose {
     Surface,
 }
 
+impl RenderSettings {
+    /// What a program for pictures computes.
+    pub(super) fn purpose(&self) -> Purpose {
+        if self.records_layers() { Purpose::Layers } else { Purpose::Picture }
+    }
+}
+
 /// The whole graph.
-pub(super) struct Program {
+pub(super) struct Program<P = Arc<Object>> {
     /// The last is the root.
-    pub(super) instructions: Vec<Instruction>,
+    pub(super) instructions: Vec<Instruction<P>>,
     /// Every output that any instruction requires.
     pub(super) required: RequiredOutputs,
     /// The boundary of a subtracted object does not affect the shading of samples farther from it
@@ -77,29 +91,15 @@ pub(super) struct Program {
 
 /// A compiled node: its action, its bounds in the world, and the colour of all its samples, if it
 /// is the same.
-type Compiled = (Action, Aabb, Option<[f32; 3]>);
+type Compiled = (Action<Unopened>, Aabb, Option<[f32; 3]>);
 
 /// A node with its transform to the world and the index of its material.
 type Key = (*const Node, [u64; 12], usize);
 
-/// An upper bound on the bytes that a place of the graph takes in a program, besides the node's own
-/// tables and lists.
-pub(super) const PLACE_BYTES: u64 = {
-    let largest = {
-        let (cloud, grid, field) =
-            (size_of::<CloudVolume>(), size_of::<GridVolume>(), size_of::<ProceduralVolume>());
-        let files = if cloud > grid { cloud } else { grid };
-        if files > field { files } else { field }
-    };
-    // Lists and tables double as they grow, and a parent refers to each child.
-    (2 * size_of::<Instruction>() + 2 * size_of::<(Key, usize)>() + largest + 4 * size_of::<usize>()) as u64
-};
-
 struct Compiler<'s> {
     scene: &'s Scene,
     simd: SimdLevel,
-    paged: &'s PagedFiles,
-    instructions: Vec<Instruction>,
+    instructions: Vec<Instruction<Unopened>>,
     known: HashMap<Key, usize>,
     /// Attributes that transfer functions read, in alphabetical order.
     names: Vec<Arc<str>>,
@@ -109,33 +109,112 @@ struct Compiler<'s> {
     leaves: Option<u32>,
 }
 
-impl Program {
+impl Program<Unopened> {
     /// Compiles a scene that has been checked.
-    ///
-    /// # Errors
-    /// [`RenderError::Setting`] if a cloud or grid of the scene is not open in `paged`.
-    pub(super) fn compile(
-        scene: &Scene,
-        purpose: Purpose,
-        simd: SimdLevel,
-        paged: &PagedFiles,
-    ) -> Result<Self, RenderError> {
+    pub(super) fn compile(scene: &Scene, purpose: Purpose, simd: SimdLevel) -> Self {
         let leaves = (purpose == Purpose::Layers).then_some(0);
         let (instructions, known, materials) = (Vec::new(), HashMap::new(), Vec::new());
         let names = scene.root.attributes_read();
-        let mut compiler = Compiler { scene, simd, paged, instructions, known, names, materials, leaves };
+        let mut compiler = Compiler { scene, simd, instructions, known, names, materials, leaves };
         let material = compiler.material(&Material::default());
-        compiler.add(&scene.root, &DAffine3::IDENTITY, material)?;
-        Ok(compiler.finish(purpose))
+        compiler.add(&scene.root, &DAffine3::IDENTITY, material);
+        compiler.finish(purpose)
     }
 
-    pub(super) fn root(&self) -> usize {
-        self.instructions.len() - 1
+    /// With the pages of its files in a working set.
+    ///
+    /// # Errors
+    /// [`RenderError::Setting`] if a cloud or grid of the scene is not open in `paged`.
+    pub(super) fn open(self, paged: &PagedFiles) -> Result<Program, RenderError> {
+        let Self { instructions, required, reach, constants, simd } = self;
+        let instructions = instructions.into_iter().map(|instruction| instruction.open(paged));
+        let instructions = instructions.collect::<Result<_, _>>()?;
+        Ok(Program { instructions, required, reach, constants, simd })
     }
+}
 
+impl Instruction<Unopened> {
+    fn open(self, paged: &PagedFiles) -> Result<Instruction, RenderError> {
+        let Self { action, bounds, required, made, measures, transfers, uses, color } = self;
+        let action = match action {
+            Action::Cloud(volume) => {
+                let path = volume.placement.cloud().path().to_owned();
+                Action::Cloud(Box::new(volume.open(paged).ok_or_else(|| not_paged(&path))?))
+            }
+            Action::Grid(volume) => {
+                let path = volume.grid().path().to_owned();
+                Action::Grid(Box::new(volume.open(paged).ok_or_else(|| not_paged(&path))?))
+            }
+            Action::Procedural(volume) => Action::Procedural(volume),
+            Action::Operator(operator, children) => Action::Operator(operator, children),
+        };
+        Ok(Instruction { action, bounds, required, made, measures, transfers, uses, color })
+    }
+}
+
+impl<P> Instruction<P> {
+    /// Bytes that it takes in a program.
+    fn bytes(&self) -> usize {
+        let action = match &self.action {
+            Action::Cloud(volume) => volume.bytes(),
+            Action::Grid(volume) => volume.bytes(),
+            Action::Procedural(volume) => volume.bytes(),
+            Action::Operator(_, children) => list_bytes(children),
+        };
+        let transfers: usize = self.transfers.iter().map(CompiledTransfer::bytes).sum();
+        size_of::<Instruction>() + action + list_bytes(&self.transfers) + transfers
+    }
+}
+
+impl<P> Program<P> {
     /// How its materials change the direction of rays.
     pub(super) fn turns(&self) -> ScatterKinds {
         ScatterKinds::of(&used_materials(&self.instructions))
+    }
+
+    /// The clouds of its instructions; one that it uses several times, several times.
+    pub(super) fn clouds_of(&self) -> impl Iterator<Item = &Arc<Cloud>> {
+        self.instructions.iter().filter_map(|instruction| match &instruction.action {
+            Action::Cloud(volume) => Some(volume.placement.cloud()),
+            _ => None,
+        })
+    }
+
+    /// Likewise, its grids.
+    pub(super) fn grids_of(&self) -> impl Iterator<Item = &Arc<Grid>> {
+        self.instructions.iter().filter_map(|instruction| match &instruction.action {
+            Action::Grid(volume) => Some(volume.grid()),
+            _ => None,
+        })
+    }
+
+    /// Bytes that it takes while it is compiled, and less from then on.
+    pub(super) fn bytes(&self) -> usize {
+        // Lists and tables double as they grow.
+        let growing = size_of::<Instruction>() + 2 * size_of::<(Key, usize)>();
+        self.instructions.iter().map(|instruction| growing + instruction.bytes()).sum()
+    }
+
+    /// Most blocks of samples in use at a time, by all that has to be kept for others.
+    pub(super) fn most_blocks(&self) -> usize {
+        let mut blocks = Vec::with_capacity(self.instructions.len());
+        for instruction in &self.instructions {
+            blocks.push(match &instruction.action {
+                Action::Operator(operator, children) => {
+                    let own = if *operator == Operator::Intersection { children.len() } else { 2 };
+                    own + children.iter().map(|&child| blocks[child]).max().unwrap_or(0)
+                }
+                Action::Cloud(_) | Action::Grid(_) | Action::Procedural(_) => 1,
+            });
+        }
+        let shared = self.instructions.iter().filter(|instruction| instruction.uses > 1).count();
+        shared + blocks.last().copied().unwrap_or(0)
+    }
+}
+
+impl Program {
+    pub(super) fn root(&self) -> usize {
+        self.instructions.len() - 1
     }
 
     /// The cloud of an instruction, if it is one.
@@ -199,26 +278,21 @@ impl Compiler<'_> {
 
     /// Adds a node and what it needs; returns the index of its instruction. `material` applies if
     /// the node has none of its own.
-    fn add(
-        &mut self,
-        node: &Arc<Node>,
-        world_from_parent: &DAffine3,
-        material: usize,
-    ) -> Result<usize, RenderError> {
+    fn add(&mut self, node: &Arc<Node>, world_from_parent: &DAffine3, material: usize) -> usize {
         let material = node.material.as_ref().map_or(material, |m| self.material(m));
         let world_from_local = *world_from_parent * node.parent_from_local;
         let key = (Arc::as_ptr(node), world_from_local.to_cols_array().map(f64::to_bits), material);
         if let Some(&at) = self.known.get(&key) {
             self.instructions[at].uses += 1;
-            return Ok(at);
+            return at;
         }
         let of_leaf = self.of_leaf(material, &node.shape);
         let (action, bounds, color) = match &node.shape {
             Shape::Operator(operator, children) => {
-                self.operator(*operator, children, &world_from_local, material)?
+                self.operator(*operator, children, &world_from_local, material)
             }
-            Shape::Cloud(object) => self.cloud(object, &world_from_local, of_leaf)?,
-            Shape::Grid(object) => self.grid(object, &world_from_local, of_leaf)?,
+            Shape::Cloud(object) => self.cloud(object, &world_from_local, of_leaf),
+            Shape::Grid(object) => self.grid(object, &world_from_local, of_leaf),
             Shape::Procedural(field) => self.procedural(field, &world_from_local, of_leaf),
         };
         let transfers: Vec<CompiledTransfer> =
@@ -236,7 +310,7 @@ impl Compiler<'_> {
         });
         let at = self.instructions.len() - 1;
         self.known.insert(key, at);
-        Ok(at)
+        at
     }
 
     fn cloud(
@@ -244,26 +318,19 @@ impl Compiler<'_> {
         object: &CloudObject,
         world_from_local: &DAffine3,
         material: [f32; MATERIAL],
-    ) -> Result<Compiled, RenderError> {
+    ) -> Compiled {
         let unit = self.scene.unit_distance;
-        let volume = CloudVolume::new(object, world_from_local, unit, material, self.paged)
-            .ok_or_else(|| not_paged(object.cloud.path()))?;
+        let volume = CloudVolume::new(object, world_from_local, unit, material);
         let color = volume.shading.uniform_color();
-        Ok((Action::Cloud(Box::new(volume)), object.bounds().transformed(world_from_local), color))
+        (Action::Cloud(Box::new(volume)), object.bounds().transformed(world_from_local), color)
     }
 
-    fn grid(
-        &self,
-        object: &GridObject,
-        world_from_local: &DAffine3,
-        material: [f32; MATERIAL],
-    ) -> Result<Compiled, RenderError> {
+    fn grid(&self, object: &GridObject, world_from_local: &DAffine3, material: [f32; MATERIAL]) -> Compiled {
         let unit = self.scene.unit_distance;
-        let volume = GridVolume::new(object, world_from_local, unit, material, self.paged)
-            .ok_or_else(|| not_paged(object.grid.path()))?;
+        let volume = GridVolume::new(object, world_from_local, unit, material);
         let bounds = Node::new(Shape::Grid(object.clone())).bounds().transformed(world_from_local);
         let color = volume.uniform_color();
-        Ok((Action::Grid(Box::new(volume)), bounds, color))
+        (Action::Grid(Box::new(volume)), bounds, color)
     }
 
     fn procedural(
@@ -284,16 +351,14 @@ impl Compiler<'_> {
         children: &[Arc<Node>],
         world_from_local: &DAffine3,
         material: usize,
-    ) -> Result<Compiled, RenderError> {
-        let children: Vec<usize> = (children.iter())
-            .map(|child| self.add(child, world_from_local, material))
-            .collect::<Result<_, _>>()?;
+    ) -> Compiled {
+        let children = children.iter().map(|child| self.add(child, world_from_local, material)).collect();
         let (operator, children) = self.drop_unreachable_subtrahends(operator, children);
         let bounds = self.operator_bounds(operator, &children);
         let first = self.instructions[children[0]].color;
         let colored = if operator == Operator::Difference { &children[..1] } else { &children[..] };
         let same = colored.iter().all(|&c| self.instructions[c].color == first);
-        Ok((Action::Operator(operator, children), bounds, first.filter(|_| same)))
+        (Action::Operator(operator, children), bounds, first.filter(|_| same))
     }
 
     /// Leaves out subtracted objects that are so far from the first operand that they neither cut
@@ -326,7 +391,7 @@ impl Compiler<'_> {
     }
 
     /// Passes the required outputs down from the root to each instruction.
-    fn finish(mut self, purpose: Purpose) -> Program {
+    fn finish(mut self, purpose: Purpose) -> Program<Unopened> {
         let used = used_materials(&self.instructions);
         let material = if used.len() == 1 { used.first().copied() } else { None };
         let root = self.instructions.len() - 1;
@@ -428,7 +493,7 @@ impl Compiler<'_> {
 }
 
 /// The distinct materials of leaves, apart from leaf numbers.
-fn used_materials(instructions: &[Instruction]) -> Vec<[f32; MATERIAL]> {
+fn used_materials<P>(instructions: &[Instruction<P>]) -> Vec<[f32; MATERIAL]> {
     let mut used: Vec<[f32; MATERIAL]> = Vec::new();
     for instruction in instructions {
         let mut material = match &instruction.action {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::node_samples::{NodeSamples, each_lane};
 use crate::field::{SLAB_SAMPLES, linear_from_srgb};
 use crate::scene::{Channel, ColorMap, MAX_OPACITY, Transfer, curve_at};
+use rayset_base::bytes::list_bytes;
 
 /// Places of a colour map's index: several times the number of knots of a named palette.
 const PLACES: usize = 1024;
@@ -88,14 +89,11 @@ impl ColorTable {
         table
     }
 
-    /// Bytes of the table of a map.
-    pub(super) fn bytes(map: &ColorMap) -> u64 {
-        let stops = map.palette.stops();
-        let knots: usize = stops.windows(2).map(|pair| pieces(stops.len(), pair[0], pair[1])).sum();
-        // Both lists, and the stops with colours that they are made from, whose list doubles as it
-        // grows.
-        let knots = (knots + 1) * (size_of::<Knot>() + size_of::<f32>() + 2 * size_of::<(f64, [f64; 3])>());
-        (knots + (PLACES + 2) * size_of::<u32>()) as u64
+    /// Bytes of its lists, and of the stops with colours that it is made from, whose list doubles as
+    /// it grows.
+    pub(super) fn bytes(&self) -> usize {
+        let made_from = 2 * self.knots.len() * size_of::<(f64, [f64; 3])>();
+        made_from + list_bytes(&self.knots) + list_bytes(&self.from) + list_bytes(&self.index)
     }
 
     /// The place of the index that a value belongs to; never descends as values ascend.
@@ -219,6 +217,14 @@ impl CompiledTransfer {
             Transfer::Color { input, map } => (input, Output::Color(ColorTable::new(map))),
         };
         Self { input: Input::new(input, names), output }
+    }
+
+    /// Bytes that it takes besides its place in a list.
+    pub(super) fn bytes(&self) -> usize {
+        match &self.output {
+            Output::Opacity(curve) => list_bytes(curve),
+            Output::Color(table) => table.bytes(),
+        }
     }
 
     pub(super) fn makes_color(&self) -> bool {

@@ -4,7 +4,7 @@ use super::RenderError;
 use super::bounce::Bounces;
 use super::composite::Absorption;
 use super::predict::Foresight;
-use super::program::{Program, Purpose};
+use super::program::Program;
 use super::shade::Shader;
 use super::shadow::ShadowWorld;
 use super::steps::StepRule;
@@ -37,8 +37,7 @@ impl World {
         simd: SimdLevel,
         paged: &PagedFiles,
     ) -> Result<Self, RenderError> {
-        let purpose = if settings.records_layers() { Purpose::Layers } else { Purpose::Picture };
-        let program = Program::compile(scene, purpose, simd, paged)?;
+        let program = Program::compile(scene, settings.purpose(), simd).open(paged)?;
         let shader = Shader::new(&scene.lighting, program.constants, simd);
         let absorption = Absorption {
             unit_distance: scene.unit_distance,

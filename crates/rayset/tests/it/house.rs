@@ -8,7 +8,17 @@ const CRATES: [(&str, &[&str], &[&str]); 6] = [
     (
         "rayset-base",
         &[],
-        &["parse", "setters", "sync", "cancel", "geometry", "regular_file", "text_numbers", "numbers"],
+        &[
+            "bytes",
+            "parse",
+            "setters",
+            "sync",
+            "cancel",
+            "geometry",
+            "regular_file",
+            "text_numbers",
+            "numbers",
+        ],
     ),
     ("rayset-store", &["rayset-base"], &["storage", "output", "spill", "container", "working_set"]),
     (

@@ -8,6 +8,7 @@ use crate::field::Packet;
 use crate::scene::largest_stretch;
 use crate::trace::RenderError;
 use crate::trace::access::{Access, Halt};
+use crate::trace::program::Unopened;
 use rayset_base::geometry::{Aabb, DAffine3, DVec3, Ray};
 use rayset_files::PagedFiles;
 use rayset_files::octree::Cloud;
@@ -17,9 +18,9 @@ use rayset_files::octree::node::Node;
 use rayset_store::working_set::{Object, PageFault, PageGuard};
 
 /// A cloud, placed in the world by the graph.
-pub(in crate::trace) struct CloudPlacement {
+pub(in crate::trace) struct CloudPlacement<P = Arc<Object>> {
     cloud: Arc<Cloud>,
-    pub(in crate::trace) pages: Arc<Object>,
+    pub(in crate::trace) pages: P,
     pub(in crate::trace) root_cell: RootCell,
     pub(in crate::trace) first_node_page: u32,
     /// `None` if local space and world space are the same.
@@ -29,30 +30,52 @@ pub(in crate::trace) struct CloudPlacement {
     least_stretch: f64,
 }
 
-impl CloudPlacement {
-    /// `None` if the cloud's pages are not in a working set.
-    pub(in crate::trace) fn new(
-        cloud: &Arc<Cloud>,
-        world_from_local: &DAffine3,
-        paged: &PagedFiles,
-    ) -> Option<Self> {
-        let pages = paged.find(cloud)?;
+impl CloudPlacement<Unopened> {
+    pub(in crate::trace) fn new(cloud: &Arc<Cloud>, world_from_local: &DAffine3) -> Self {
         let header = cloud.header();
-        Some(Self {
-            pages: pages.clone(),
+        Self {
+            pages: Unopened,
             root_cell: header.root_cell(),
             first_node_page: header.point_pages,
             local_from_world: (*world_from_local != DAffine3::IDENTITY).then(|| world_from_local.inverse()),
             world_from_local: *world_from_local,
             least_stretch: 1.0 / largest_stretch(world_from_local),
             cloud: cloud.clone(),
+        }
+    }
+
+    /// With the pages of the cloud in a working set; `None` if they are in none.
+    pub(super) fn open(self, paged: &PagedFiles) -> Option<CloudPlacement> {
+        let Self { cloud, root_cell, first_node_page, local_from_world, .. } = self;
+        let (world_from_local, least_stretch) = (self.world_from_local, self.least_stretch);
+        let pages = paged.find(&cloud)?.clone();
+        Some(CloudPlacement {
+            cloud,
+            pages,
+            root_cell,
+            first_node_page,
+            local_from_world,
+            world_from_local,
+            least_stretch,
         })
+    }
+}
+
+impl<P> CloudPlacement<P> {
+    pub(in crate::trace) fn cloud(&self) -> &Arc<Cloud> {
+        &self.cloud
     }
 
     pub(in crate::trace) fn header(&self) -> &Header {
         self.cloud.header()
     }
 
+    pub(in crate::trace) fn local_from_world(&self) -> Option<&DAffine3> {
+        self.local_from_world.as_ref()
+    }
+}
+
+impl CloudPlacement {
     /// A packet in the cloud's space.
     pub(in crate::trace) fn local(&self, packet: &Packet) -> Packet {
         self.local_from_world
@@ -79,10 +102,6 @@ impl CloudPlacement {
         let stretch =
             if self.local_from_world.is_some() { largest_stretch(&self.world_from_local) } else { 1.0 };
         f64::from(self.header().radius.max()) * stretch
-    }
-
-    pub(in crate::trace) fn local_from_world(&self) -> Option<&DAffine3> {
-        self.local_from_world.as_ref()
     }
 
     /// Bounds of influence of a node, world space.

@@ -13,6 +13,7 @@ use crate::trace::node_samples::{
     MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, each_lane, normalize, numbers,
 };
 use crate::trace::transfer::ColorTable;
+use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::{DAffine3, DMat3};
 use rayset_files::octree::format::Header;
 
@@ -63,6 +64,13 @@ pub(in crate::trace) struct CloudShading {
 }
 
 impl CloudShading {
+    /// Bytes that it takes besides itself.
+    pub(super) fn bytes(&self) -> usize {
+        let color = if let Color::Map { table, .. } = &self.color { table.bytes() } else { 0 };
+        let columns = list_bytes(&self.columns.scalars) + list_bytes(&self.columns.labels);
+        self.opacity.bytes() + color + self.decoder.bytes() + columns + list_bytes(&self.named)
+    }
+
     /// Shading for an object at a position in the world. Until [`carry`](Self::carry) is called,
     /// the field carries densities only.
     pub(in crate::trace) fn new(

@@ -1,29 +1,43 @@
 //! A cloud as a volume object.
 
+use std::sync::Arc;
+
 use super::placement::CloudPlacement;
 use super::shading::CloudShading;
 use crate::scene::CloudObject;
 use crate::trace::node_samples::MATERIAL;
+use crate::trace::program::Unopened;
 use rayset_base::geometry::DAffine3;
 use rayset_files::PagedFiles;
+use rayset_store::working_set::Object;
 
 /// A cloud in the world: its placement and its shading.
-pub(in crate::trace) struct CloudVolume {
-    pub(in crate::trace) placement: CloudPlacement,
+pub(in crate::trace) struct CloudVolume<P = Arc<Object>> {
+    pub(in crate::trace) placement: CloudPlacement<P>,
     pub(in crate::trace) shading: CloudShading,
 }
 
-impl CloudVolume {
-    /// `None` if the cloud's pages are not in a working set.
+impl CloudVolume<Unopened> {
     pub(in crate::trace) fn new(
         object: &CloudObject,
         world_from_local: &DAffine3,
         unit_distance: f64,
         material: [f32; MATERIAL],
-        paged: &PagedFiles,
-    ) -> Option<Self> {
-        let placement = CloudPlacement::new(&object.cloud, world_from_local, paged)?;
+    ) -> Self {
+        let placement = CloudPlacement::new(&object.cloud, world_from_local);
         let shading = CloudShading::new(object, placement.local_from_world(), unit_distance, material);
-        Some(Self { placement, shading })
+        Self { placement, shading }
+    }
+
+    /// With its pages in a working set; `None` if they are in none.
+    pub(in crate::trace) fn open(self, paged: &PagedFiles) -> Option<CloudVolume> {
+        Some(CloudVolume { placement: self.placement.open(paged)?, shading: self.shading })
+    }
+}
+
+impl<P> CloudVolume<P> {
+    /// Bytes that it takes.
+    pub(in crate::trace) fn bytes(&self) -> usize {
+        size_of::<CloudVolume>() + self.shading.bytes()
     }
 }

@@ -29,6 +29,14 @@ pub(super) struct GridField {
     pub(super) material: [f32; MATERIAL],
 }
 
+impl GridField {
+    /// Bytes that it takes besides itself.
+    pub(super) fn bytes(&self) -> usize {
+        let color = if let Color::Map(table) = &self.color { table.bytes() } else { 0 };
+        self.opacities.bytes() + color
+    }
+}
+
 /// What is requested of a grid in a slab.
 #[derive(Clone, Copy)]
 pub(in crate::trace) struct GridRequest<'a> {

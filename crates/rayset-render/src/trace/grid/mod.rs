@@ -26,8 +26,3 @@ mod voxels;
 pub(super) use self::ahead::PagesAhead;
 pub(super) use self::field::{GridMarch, GridRequest};
 pub(super) use self::volume::{GridScratch, GridVolume};
-
-/// Scratch memory of a march through a graph with grids.
-pub(super) const GRID_SCRATCH_BYTES: u64 = GridScratch::BYTES as u64;
-/// Memory of the march of a packet through each grid.
-pub(super) const GRID_MARCH_BYTES: u64 = GridMarch::BYTES as u64;

@@ -9,6 +9,7 @@ use fearless_simd::prelude::*;
 use crate::scene::{MAX_OPACITY, OpacityRule};
 use crate::trace::math::{exp_minus, ln};
 use crate::trace::node_samples::{MAX_OPTICAL_DEPTH, Measure};
+use rayset_base::bytes::list_bytes;
 use rayset_files::grid::format::GridHeader;
 
 /// How stored numbers, counted from the least, become values of the grid.
@@ -78,6 +79,12 @@ struct Piece {
 }
 
 impl Opacities {
+    /// Bytes that it takes besides itself.
+    pub(super) fn bytes(&self) -> usize {
+        let pieces = if let Rule::Curve(pieces) = &self.rule { list_bytes(pieces) } else { 0 };
+        pieces + list_bytes(&self.shown)
+    }
+
     pub(super) fn new(rule: &OpacityRule, values: &Values, unit_distance: f64) -> Self {
         let linear = |factor: f64| ((factor * values.scale) as f32, (factor * values.offset) as f32);
         let compiled = match rule {

@@ -17,17 +17,19 @@ use crate::field::{LANES, Packet, SLAB_SAMPLES, dispatch};
 use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject, largest_stretch};
 use crate::trace::access::Halt;
 use crate::trace::node_samples::{MATERIAL, NodeSamples};
+use crate::trace::program::Unopened;
 use crate::trace::transfer::ColorTable;
 use rayset_base::geometry::{Aabb, DAffine3, DVec3, Ray};
 use rayset_files::PagedFiles;
+use rayset_files::grid::Grid;
 use rayset_files::grid::format::{PAGE_BYTES, RANGES_PER_PAGE, VoxelKind};
 use rayset_store::container::PAGE_HEAD_BYTES;
 use rayset_store::working_set::Object;
 
 /// A grid as the scene graph places it in the world.
-pub(in crate::trace) struct GridVolume {
+pub(in crate::trace) struct GridVolume<P = Arc<Object>> {
     object: GridObject,
-    pages: Arc<Object>,
+    pages: P,
     world_from_voxel: DAffine3,
     field: GridField,
     unit_distance: f64,
@@ -54,16 +56,13 @@ impl GridScratch {
     }
 }
 
-impl GridVolume {
-    /// `None` if the grid is not open in `paged`.
+impl GridVolume<Unopened> {
     pub(in crate::trace) fn new(
         object: &GridObject,
         world_from_local: &DAffine3,
         unit_distance: f64,
         material: [f32; MATERIAL],
-        paged: &PagedFiles,
-    ) -> Option<Self> {
-        let pages = paged.find_grid(&object.grid)?.clone();
+    ) -> Self {
         let world_from_voxel = *world_from_local * object.grid.header().space_from_voxel;
         let voxel_from_world = world_from_voxel.inverse();
         let header = object.grid.header();
@@ -92,9 +91,42 @@ impl GridVolume {
             values,
             material,
         };
-        Some(Self { pages, world_from_voxel, field, unit_distance, object: object.clone() })
+        Self { pages: Unopened, world_from_voxel, field, unit_distance, object: object.clone() }
     }
 
+    /// With its pages in a working set; `None` if they are in none.
+    pub(in crate::trace) fn open(self, paged: &PagedFiles) -> Option<GridVolume> {
+        let Self { object, pages: Unopened, world_from_voxel, field, unit_distance } = self;
+        let pages = paged.find_grid(&object.grid)?.clone();
+        Some(GridVolume { object, pages, world_from_voxel, field, unit_distance })
+    }
+}
+
+impl<P> GridVolume<P> {
+    /// Sets the names of the program's attributes.
+    pub(in crate::trace) fn carry(&mut self, names: &[Arc<str>]) {
+        self.field.value_number = names.iter().position(|name| **name == *GRID_ATTRIBUTE);
+    }
+
+    pub(in crate::trace) fn material(&self) -> &[f32; MATERIAL] {
+        &self.field.material
+    }
+
+    pub(in crate::trace) fn uniform_color(&self) -> Option<[f32; 3]> {
+        if let Color::Uniform(color) = self.field.color { Some(color) } else { None }
+    }
+
+    /// Bytes that it takes.
+    pub(in crate::trace) fn bytes(&self) -> usize {
+        size_of::<GridVolume>() + self.field.bytes()
+    }
+
+    pub(in crate::trace) fn grid(&self) -> &Arc<Grid> {
+        &self.object.grid
+    }
+}
+
+impl GridVolume {
     /// The pages of its file.
     pub(in crate::trace) fn pages(&self) -> &Arc<Object> {
         &self.pages
@@ -138,19 +170,6 @@ impl GridVolume {
         let cells = self.brick_cells();
         let corner = DVec3::from_array(bricks.place(brick).map(f64::from)) * cells;
         Aabb::new(corner, corner + cells).transformed(&self.world_from_voxel)
-    }
-
-    /// Sets the names of the program's attributes.
-    pub(in crate::trace) fn carry(&mut self, names: &[Arc<str>]) {
-        self.field.value_number = names.iter().position(|name| **name == *GRID_ATTRIBUTE);
-    }
-
-    pub(in crate::trace) fn material(&self) -> &[f32; MATERIAL] {
-        &self.field.material
-    }
-
-    pub(in crate::trace) fn uniform_color(&self) -> Option<[f32; 3]> {
-        if let Color::Uniform(color) = self.field.color { Some(color) } else { None }
     }
 
     /// The distance between voxels along a ray; world space.

@@ -263,8 +263,8 @@ mod tests {
         let files = PagedFiles::new(WorkingSet::new(Limits::total(1 << 20), backend));
         let exec = ExecSettings { threads: 2, ..ExecSettings::default() };
         let engine = Engine::start(files.clone(), exec, None, String::new()).expect("an engine");
-        let program =
-            Program::compile(&scene, Purpose::Surface, SimdLevel::default(), &files).expect("a program");
+        let program = Program::compile(&scene, Purpose::Surface, SimdLevel::default());
+        let program = program.open(&files).expect("files in a working set");
         let steps = StepRule::new(&program, &RenderSettings::default()).expect("steps");
         let lattice = Lattice::over(&scene.root.bounds(), 48).expect("a lattice");
         let (votes, axes) = count(&engine, program, steps, lattice).expect("votes");

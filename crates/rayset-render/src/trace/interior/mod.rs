@@ -102,7 +102,7 @@ fn votes_of(
         return Ok(Err("what is cut is empty or has no end".into()));
     };
     let alone = Scene { root: node.clone(), ..scene.clone() };
-    let program = Program::compile(&alone, Purpose::Surface, engine.exec.simd, files)?;
+    let program = Program::compile(&alone, Purpose::Surface, engine.exec.simd).open(files)?;
     let steps = StepRule::new(&program, settings)?;
     let (votes, axes) = count::count(engine, program, steps, lattice)?;
     if let Some(why) = why_open(axes) {

@@ -9,6 +9,7 @@ use crate::trace::math::ln;
 use crate::trace::node_samples::{
     Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, numbers,
 };
+use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 
 /// The march of one packet through one field.
@@ -62,6 +63,11 @@ pub(in crate::trace) struct ProceduralVolume {
 }
 
 impl ProceduralVolume {
+    /// Bytes that it takes; the field itself is the scene's.
+    pub(in crate::trace) fn bytes(&self) -> usize {
+        size_of::<Self>() + list_bytes(&self.named)
+    }
+
     pub(in crate::trace) fn new(
         field: Arc<dyn Procedural>,
         world_from_local: &DAffine3,

@@ -14,7 +14,6 @@ mod transmittance;
 mod world;
 
 pub(super) use self::ahead::{LitPlace, RaysToLight, TileOfLight};
-pub(super) use self::cached::TILE_MAKER_BYTES;
 pub(super) use self::shadows::Shadows;
 pub(super) use self::table::{DeepShadowMap, SHADOW_TILE_BYTES};
 pub(super) use self::world::ShadowWorld;
