@@ -12,14 +12,7 @@ use crate::scene::Operator;
 
 /// Most procedural fields of which it is remembered where a packet is in them. Of further ones it
 /// is found for each slab.
-const MOST_FIELDS: usize = 64;
-
-/// What a march keeps of every instruction: its range of samples, the states of its cloud, grid or
-/// field, its shared block.
-const PLACE_BYTES: usize = size_of::<Option<(u64, u64)>>()
-    + size_of::<(Option<Box<CloudMarch>>, bool)>()
-    + 2 * size_of::<Option<Box<GridMarch>>>()
-    + size_of::<Option<NodeSamples>>();
+pub(super) const MOST_FIELDS: usize = 64;
 
 /// The progress of a packet through a graph, with scratch memory.
 pub(super) struct March<'p> {
@@ -108,24 +101,6 @@ impl<'p> March<'p> {
             grid_scratch: GridScratch::new(),
             remaining: None,
         }
-    }
-
-    /// The most bytes that a march through a program takes.
-    pub(super) fn most_bytes<P>(program: &Program<P>) -> usize {
-        let count = |is: fn(&Action<P>) -> bool| {
-            program.instructions.iter().filter(|instruction| is(&instruction.action)).count()
-        };
-        let clouds = count(|action| matches!(action, Action::Cloud(_)));
-        let grids = count(|action| matches!(action, Action::Grid(_)));
-        let fields = count(|action| matches!(action, Action::Procedural(_))).min(MOST_FIELDS);
-        let channels = program.required.attributes.count_ones() as usize;
-        let of_clouds = clouds * CloudMarch::BYTES + CloudScratch::bytes(clouds, channels);
-        let of_grids = if grids > 0 { grids * GridMarch::BYTES + GridScratch::BYTES } else { 0 };
-        program.instructions.len() * PLACE_BYTES
-            + program.most_blocks() * NodeSamples::bytes(program.required)
-            + of_clouds
-            + of_grids
-            + fields * ProceduralMarch::BYTES
     }
 
     /// A block to evaluate into.

@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use super::interior::graph as caps;
 use super::march::March;
-use super::program::{Program, Purpose, Unopened};
+use super::program::{Program, Purpose};
 use super::ray_tree::tree_bytes;
-use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES, ShadowWorld};
+use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES, Shadows};
+use super::unopened::Unopened;
 use crate::field::SimdLevel;
 use crate::scene::{RenderSettings, Scene};
 use rayset_files::grid::Grid;
@@ -75,7 +76,7 @@ impl SceneNeeds {
 
     /// The needs of a scene without caps, or of one in which something else takes their place.
     fn of_program(scene: &Scene, settings: &RenderSettings, program: &Program<Unopened>) -> Self {
-        let (of_shadows, of_shadows_in_thread) = ShadowWorld::most_bytes(scene);
+        let (of_shadows, of_shadows_in_thread) = Shadows::most_bytes(scene);
         let turns = program.turns().any() && settings.max_depth > 0;
         let tree = if turns { tree_bytes(settings.max_depth) } else { 0 };
         let clouds: Vec<Arc<Cloud>> = once(program.clouds_of().cloned());

@@ -4,7 +4,6 @@
 //! A node that is reached twice with the same transform and material becomes one instruction, whose
 //! samples are computed once.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::RenderError;
@@ -13,22 +12,17 @@ use super::cloud::CloudVolume;
 use super::grid::GridVolume;
 use super::node_samples::{Constants, LEAF, MATERIAL, Measure, RequiredOutputs};
 use super::procedural::ProceduralVolume;
-use super::transfer::{CompiledTransfer, Input};
+use super::transfer::CompiledTransfer;
+use super::unopened::Unopened;
 use crate::field::SimdLevel;
-use crate::scene::{
-    CloudObject, GridObject, LightKind, Lighting, Material, Node, Operator, Procedural, RenderSettings,
-    Scene, Shape,
-};
+use crate::scene::{Node, Operator, RenderSettings};
 use rayset_base::bytes::list_bytes;
-use rayset_base::geometry::{Aabb, DAffine3, Ray};
+use rayset_base::geometry::{Aabb, Ray};
 use rayset_files::PagedFiles;
 use rayset_files::grid::Grid;
 use rayset_files::octree::Cloud;
 use rayset_store::storage::shown;
 use rayset_store::working_set::Object;
-
-/// In place of pages: a program is compiled before its files are opened.
-pub(super) struct Unopened;
 
 /// What an instruction does.
 pub(super) enum Action<P = Arc<Object>> {
@@ -52,7 +46,7 @@ pub(super) struct Instruction<P = Arc<Object>> {
     /// Number of its uses: by other instructions, or as the root.
     pub(super) uses: u32,
     /// The colour of all samples, if it is the same; linear light.
-    color: Option<[f32; 3]>,
+    pub(super) color: Option<[f32; 3]>,
 }
 
 /// What a program computes of a scene.
@@ -89,38 +83,10 @@ pub(super) struct Program<P = Arc<Object>> {
     pub(super) simd: SimdLevel,
 }
 
-/// A compiled node: its action, its bounds in the world, and the colour of all its samples, if it
-/// is the same.
-type Compiled = (Action<Unopened>, Aabb, Option<[f32; 3]>);
-
 /// A node with its transform to the world and the index of its material.
-type Key = (*const Node, [u64; 12], usize);
-
-struct Compiler<'s> {
-    scene: &'s Scene,
-    simd: SimdLevel,
-    instructions: Vec<Instruction<Unopened>>,
-    known: HashMap<Key, usize>,
-    /// Attributes that transfer functions read, in alphabetical order.
-    names: Vec<Arc<str>>,
-    /// Every material that is used, each once.
-    materials: Vec<[f32; MATERIAL]>,
-    /// Number of leaves so far, if leaf numbers are required.
-    leaves: Option<u32>,
-}
+pub(super) type Key = (*const Node, [u64; 12], usize);
 
 impl Program<Unopened> {
-    /// Compiles a scene that has been checked.
-    pub(super) fn compile(scene: &Scene, purpose: Purpose, simd: SimdLevel) -> Self {
-        let leaves = (purpose == Purpose::Layers).then_some(0);
-        let (instructions, known, materials) = (Vec::new(), HashMap::new(), Vec::new());
-        let names = scene.root.attributes_read();
-        let mut compiler = Compiler { scene, simd, instructions, known, names, materials, leaves };
-        let material = compiler.material(&Material::default());
-        compiler.add(&scene.root, &DAffine3::IDENTITY, material);
-        compiler.finish(purpose)
-    }
-
     /// With the pages of its files in a working set.
     ///
     /// # Errors
@@ -253,247 +219,8 @@ fn not_paged(path: &std::path::Path) -> RenderError {
     RenderError::Setting { setting: "scene", what: format!("{} is in no working set", shown(path)) }
 }
 
-impl Compiler<'_> {
-    /// The index of a material, which is added if it is new.
-    fn material(&mut self, material: &Material) -> usize {
-        let mut numbers = [0.0; MATERIAL];
-        let given = material.to_array().map(|v| v as f32);
-        numbers[..given.len()].copy_from_slice(&given);
-        let known = self.materials.iter().position(|m| *m == numbers);
-        known.unwrap_or_else(|| {
-            self.materials.push(numbers);
-            self.materials.len() - 1
-        })
-    }
-
-    /// The values of the material of a leaf, with the number of the leaf if it is required.
-    fn of_leaf(&mut self, material: usize, shape: &Shape) -> [f32; MATERIAL] {
-        let mut numbers = self.materials[material];
-        if let Some(leaves) = self.leaves.as_mut().filter(|_| !matches!(shape, Shape::Operator(..))) {
-            *leaves += 1;
-            numbers[LEAF] = *leaves as f32;
-        }
-        numbers
-    }
-
-    /// Adds a node and what it needs; returns the index of its instruction. `material` applies if
-    /// the node has none of its own.
-    fn add(&mut self, node: &Arc<Node>, world_from_parent: &DAffine3, material: usize) -> usize {
-        let material = node.material.as_ref().map_or(material, |m| self.material(m));
-        let world_from_local = *world_from_parent * node.parent_from_local;
-        let key = (Arc::as_ptr(node), world_from_local.to_cols_array().map(f64::to_bits), material);
-        if let Some(&at) = self.known.get(&key) {
-            self.instructions[at].uses += 1;
-            return at;
-        }
-        let of_leaf = self.of_leaf(material, &node.shape);
-        let (action, bounds, color) = match &node.shape {
-            Shape::Operator(operator, children) => {
-                self.operator(*operator, children, &world_from_local, material)
-            }
-            Shape::Cloud(object) => self.cloud(object, &world_from_local, of_leaf),
-            Shape::Grid(object) => self.grid(object, &world_from_local, of_leaf),
-            Shape::Procedural(field) => self.procedural(field, &world_from_local, of_leaf),
-        };
-        let transfers: Vec<CompiledTransfer> =
-            node.transfers.iter().map(|t| CompiledTransfer::new(t, &self.names)).collect();
-        let recolored = transfers.iter().any(CompiledTransfer::makes_color);
-        self.instructions.push(Instruction {
-            action,
-            bounds,
-            required: RequiredOutputs::default(),
-            made: RequiredOutputs::default(),
-            measures: (Measure::Opacity, Measure::Opacity),
-            transfers,
-            uses: 1,
-            color: color.filter(|_| !recolored),
-        });
-        let at = self.instructions.len() - 1;
-        self.known.insert(key, at);
-        at
-    }
-
-    fn cloud(
-        &self,
-        object: &CloudObject,
-        world_from_local: &DAffine3,
-        material: [f32; MATERIAL],
-    ) -> Compiled {
-        let unit = self.scene.unit_distance;
-        let volume = CloudVolume::new(object, world_from_local, unit, material);
-        let color = volume.shading.uniform_color();
-        (Action::Cloud(Box::new(volume)), object.bounds().transformed(world_from_local), color)
-    }
-
-    fn grid(&self, object: &GridObject, world_from_local: &DAffine3, material: [f32; MATERIAL]) -> Compiled {
-        let unit = self.scene.unit_distance;
-        let volume = GridVolume::new(object, world_from_local, unit, material);
-        let bounds = Node::new(Shape::Grid(object.clone())).bounds().transformed(world_from_local);
-        let color = volume.uniform_color();
-        (Action::Grid(Box::new(volume)), bounds, color)
-    }
-
-    fn procedural(
-        &self,
-        field: &Arc<dyn Procedural>,
-        world_from_local: &DAffine3,
-        material: [f32; MATERIAL],
-    ) -> Compiled {
-        let reach = self.scene.unit_distance;
-        let volume = ProceduralVolume::new(field.clone(), world_from_local, reach, material);
-        let color = field.uniform_color().map(|c| c.map(|v| v as f32));
-        (Action::Procedural(Box::new(volume)), field.bounds().transformed(world_from_local), color)
-    }
-
-    fn operator(
-        &mut self,
-        operator: Operator,
-        children: &[Arc<Node>],
-        world_from_local: &DAffine3,
-        material: usize,
-    ) -> Compiled {
-        let children = children.iter().map(|child| self.add(child, world_from_local, material)).collect();
-        let (operator, children) = self.drop_unreachable_subtrahends(operator, children);
-        let bounds = self.operator_bounds(operator, &children);
-        let first = self.instructions[children[0]].color;
-        let colored = if operator == Operator::Difference { &children[..1] } else { &children[..] };
-        let same = colored.iter().all(|&c| self.instructions[c].color == first);
-        (Action::Operator(operator, children), bounds, first.filter(|_| same))
-    }
-
-    /// Leaves out subtracted objects that are so far from the first operand that they neither cut
-    /// it nor affect its shading.
-    fn drop_unreachable_subtrahends(
-        &self,
-        operator: Operator,
-        mut children: Vec<usize>,
-    ) -> (Operator, Vec<usize>) {
-        if operator != Operator::Difference {
-            return (operator, children);
-        }
-        let reached = self.instructions[children[0]].bounds.inflated(self.scene.unit_distance);
-        let mut first = true;
-        children.retain(|&child| {
-            let meets = !self.instructions[child].bounds.intersection(reached).is_empty();
-            std::mem::take(&mut first) || meets
-        });
-        // A single operand is its own union, which is cheaper to evaluate.
-        (if children.len() == 1 { Operator::Union } else { operator }, children)
-    }
-
-    fn operator_bounds(&self, operator: Operator, children: &[usize]) -> Aabb {
-        let mut boxes = children.iter().map(|&c| self.instructions[c].bounds);
-        match operator {
-            Operator::Union | Operator::Blend => boxes.fold(Aabb::EMPTY, Aabb::union),
-            Operator::Intersection => boxes.reduce(Aabb::intersection).unwrap_or(Aabb::EMPTY),
-            Operator::Difference => boxes.next().unwrap_or(Aabb::EMPTY),
-        }
-    }
-
-    /// Passes the required outputs down from the root to each instruction.
-    fn finish(mut self, purpose: Purpose) -> Program<Unopened> {
-        let used = used_materials(&self.instructions);
-        let material = if used.len() == 1 { used.first().copied() } else { None };
-        let root = self.instructions.len() - 1;
-        let color = self.instructions[root].color;
-        self.instructions[root].required = self.wanted_of_root(purpose, color, material.is_none());
-        self.instructions[root].measures.1 = Measure::OpticalDepth;
-        for at in (0..=root).rev() {
-            self.pass_down(at);
-        }
-        let reach = self.scene.unit_distance;
-        let mut required = RequiredOutputs::default();
-        for instruction in &mut self.instructions {
-            required = required.and(instruction.required);
-            if instruction.required.outside
-                && !matches!(instruction.action, Action::Cloud(_) | Action::Grid(_))
-            {
-                instruction.bounds = instruction.bounds.inflated(reach);
-            }
-        }
-        let constants = Constants { color, material };
-        Program { instructions: self.instructions, required, reach, constants, simd: self.simd }
-    }
-
-    fn wanted_of_root(
-        &self,
-        purpose: Purpose,
-        color: Option<[f32; 3]>,
-        materials_differ: bool,
-    ) -> RequiredOutputs {
-        if purpose == Purpose::Shadow {
-            return RequiredOutputs::default();
-        }
-        if purpose == Purpose::Surface {
-            return RequiredOutputs { normal: true, ..RequiredOutputs::default() };
-        }
-        let layers = purpose == Purpose::Layers;
-        let lights = match &self.scene.lighting {
-            Lighting::Unlit if layers => &Vec::new(),
-            Lighting::Unlit => {
-                return RequiredOutputs { color: color.is_none(), ..RequiredOutputs::default() };
-            }
-            Lighting::Lit(lights) => lights,
-        };
-        let turns_rays = ScatterKinds::of(&used_materials(&self.instructions)).any();
-        RequiredOutputs {
-            color: color.is_none(),
-            normal: layers || turns_rays || lights.iter().any(|l| l.kind != LightKind::Ambient),
-            boundary: self.scene.lighting.throws_shadows() || turns_rays,
-            outside: false,
-            material: materials_differ || layers,
-            attributes: 0,
-        }
-    }
-
-    fn pass_down(&mut self, at: usize) {
-        let Instruction { required, made, measures, transfers, action, .. } = &mut self.instructions[at];
-        let sums = matches!(action, Action::Operator(Operator::Difference | Operator::Blend, _));
-        measures.0 = if sums || !transfers.is_empty() { Measure::Opacity } else { measures.1 };
-        let reads_color = transfers.iter().any(|t| matches!(t.input, Input::Color(_)));
-        let makes_color = transfers.iter().any(CompiledTransfer::makes_color);
-        // Rows are required both for the inputs and for the outputs of transfer functions.
-        required.color |= reads_color;
-        required.attributes =
-            transfers.iter().fold(required.attributes, |bits, t| bits | t.input.attributes());
-        let below = RequiredOutputs { color: required.color && (reads_color || !makes_color), ..*required };
-        *made = below;
-        let (operator, children) = match action {
-            Action::Operator(operator, children) => (operator, children),
-            Action::Cloud(volume) => {
-                let CloudVolume { placement, shading } = volume.as_mut();
-                return shading.carry(placement.header(), below, &self.names);
-            }
-            Action::Grid(volume) => return volume.carry(&self.names),
-            Action::Procedural(volume) => return volume.carry(&self.names),
-        };
-        let (operator, children, measure) = (*operator, children.clone(), measures.0);
-        for (place, child) in children.into_iter().enumerate() {
-            let of_child = match operator {
-                Operator::Difference => RequiredOutputs {
-                    boundary: below.boundary || below.normal,
-                    outside: below.outside || (below.normal && place > 0),
-                    color: below.color && place == 0,
-                    material: below.material && place == 0,
-                    attributes: if place == 0 { below.attributes } else { 0 },
-                    ..below
-                },
-                // Where children are equally opaque, their boundaries say which of them has the
-                // surface.
-                Operator::Intersection => {
-                    RequiredOutputs { boundary: below.boundary || below.normal, ..below }
-                }
-                Operator::Union | Operator::Blend => below,
-            };
-            let child = &mut self.instructions[child];
-            child.required = child.required.and(of_child);
-            child.measures.1 = measure;
-        }
-    }
-}
-
 /// The distinct materials of leaves, apart from leaf numbers.
-fn used_materials<P>(instructions: &[Instruction<P>]) -> Vec<[f32; MATERIAL]> {
+pub(super) fn used_materials<P>(instructions: &[Instruction<P>]) -> Vec<[f32; MATERIAL]> {
     let mut used: Vec<[f32; MATERIAL]> = Vec::new();
     for instruction in instructions {
         let mut material = match &instruction.action {

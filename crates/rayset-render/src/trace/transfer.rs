@@ -89,8 +89,8 @@ impl ColorTable {
         table
     }
 
-    /// Bytes of its lists, and of the stops with colours that it is made from, whose list doubles as
-    /// it grows.
+    /// Bytes of its lists, and of the stops with colours that it is made from, whose list doubles
+    /// as it grows.
     pub(super) fn bytes(&self) -> usize {
         let made_from = 2 * self.knots.len() * size_of::<(f64, [f64; 3])>();
         made_from + list_bytes(&self.knots) + list_bytes(&self.from) + list_bytes(&self.index)

@@ -8,7 +8,7 @@ use crate::field::Packet;
 use crate::scene::largest_stretch;
 use crate::trace::RenderError;
 use crate::trace::access::{Access, Halt};
-use crate::trace::program::Unopened;
+use crate::trace::unopened::Unopened;
 use rayset_base::geometry::{Aabb, DAffine3, DVec3, Ray};
 use rayset_files::PagedFiles;
 use rayset_files::octree::Cloud;

@@ -6,7 +6,7 @@ use super::placement::CloudPlacement;
 use super::shading::CloudShading;
 use crate::scene::CloudObject;
 use crate::trace::node_samples::MATERIAL;
-use crate::trace::program::Unopened;
+use crate::trace::unopened::Unopened;
 use rayset_base::geometry::DAffine3;
 use rayset_files::PagedFiles;
 use rayset_store::working_set::Object;

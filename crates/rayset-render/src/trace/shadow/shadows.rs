@@ -1,15 +1,17 @@
 //! How much of each light reaches the samples of a slab, computed as the settings require.
 
-use super::cached::DeepShadowLookups;
+use super::cached::{DeepShadowLookups, TILE_MAKER_BYTES};
 use super::exact::ShadowRays;
 use super::sharing::SharedShadows;
 use super::world::{LightWithShadows, ShadowWorld};
-use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
-use crate::scene::Footprint;
+use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
+use crate::scene::{Footprint, Lighting, Scene};
 use crate::trace::access::{Access, Halt};
 use crate::trace::composite::Shares;
 use crate::trace::counts::RenderCounts;
+use crate::trace::march::March;
 use crate::trace::node_samples::NodeSamples;
+use crate::trace::program::{Program, Purpose};
 use crate::trace::shade::ShadowRows;
 
 /// Shadow computation of one thread.
@@ -22,6 +24,20 @@ pub(in crate::trace) struct Shadows<'a> {
 }
 
 impl<'a> Shadows<'a> {
+    /// The most bytes that shadows take of a scene, besides their tables: once, and in each thread.
+    pub(in crate::trace) fn most_bytes(scene: &Scene) -> (usize, usize) {
+        let Lighting::Lit(lights) = &scene.lighting else { return (0, 0) };
+        let of_lights = lights.len() * size_of::<Option<LightWithShadows>>();
+        if !scene.lighting.throws_shadows() {
+            return (of_lights, 0);
+        }
+        let program = Program::compile(scene, Purpose::Shadow, SimdLevel::default());
+        let rows =
+            lights.iter().filter(|light| light.throws_shadows()).count() * LANES * size_of::<SampleRow>();
+        // One march for rays, one for tables.
+        (of_lights + program.bytes(), 2 * March::most_bytes(&program) + rows + TILE_MAKER_BYTES)
+    }
+
     pub(in crate::trace) fn new(world: &'a ShadowWorld, slab_samples: usize) -> Self {
         let all = |_: &LightWithShadows| Some(vec![SampleRow([1.0; SLAB_SAMPLES]); LANES]);
         Self {

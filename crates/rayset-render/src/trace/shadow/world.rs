@@ -1,12 +1,10 @@
 //! The scene as shadow rays see it; it is constant for a given scene and lights.
 
-use super::cached::TILE_MAKER_BYTES;
 use super::table::DeepShadowMap;
-use crate::field::{LANES, SampleRow, SimdLevel};
+use crate::field::SimdLevel;
 use crate::scene::{Light, LightKind, Lighting, RenderSettings, Scene, Shadows};
 use crate::trace::RenderError;
 use crate::trace::composite::Absorption;
-use crate::trace::march::March;
 use crate::trace::predict::Foresight;
 use crate::trace::program::{Program, Purpose};
 use crate::trace::steps::StepRule;
@@ -35,20 +33,6 @@ pub(in crate::trace) struct ShadowWorld {
 }
 
 impl ShadowWorld {
-    /// The most bytes that shadows take of a scene, besides their tables: once, and in each thread.
-    pub(in crate::trace) fn most_bytes(scene: &Scene) -> (usize, usize) {
-        let Lighting::Lit(lights) = &scene.lighting else { return (0, 0) };
-        let of_lights = lights.len() * size_of::<Option<LightWithShadows>>();
-        if !scene.lighting.throws_shadows() {
-            return (of_lights, 0);
-        }
-        let program = Program::compile(scene, Purpose::Shadow, SimdLevel::default());
-        let rows =
-            lights.iter().filter(|light| light.throws_shadows()).count() * LANES * size_of::<SampleRow>();
-        // One march for rays, one for tables.
-        (of_lights + program.bytes(), 2 * March::most_bytes(&program) + rows + TILE_MAKER_BYTES)
-    }
-
     /// `None` if no light casts shadows. Step rule and absorption are those of the rays from the
     /// eye.
     pub(in crate::trace) fn compile(
