@@ -6,6 +6,7 @@ use fearless_simd::prelude::*;
 use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
 use super::kernel::Kernel;
 use super::simd::{SimdLevel, dispatch};
+use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::DVec3;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
@@ -64,6 +65,11 @@ pub struct AttributeColumns {
 }
 
 impl AttributeColumns {
+    /// Bytes that they take besides themselves.
+    pub(crate) fn bytes(&self) -> usize {
+        list_bytes(&self.scalars) + list_bytes(&self.labels)
+    }
+
     /// Number of channels.
     #[must_use]
     pub fn channels(&self) -> usize {
@@ -105,8 +111,7 @@ impl RunDecoder {
 
     /// Bytes that it takes besides itself.
     pub(crate) fn bytes(&self) -> usize {
-        let columns = self.columns.scalars.capacity() + self.columns.labels.capacity();
-        size_of_val(&*self.linear_from_srgb) + columns * size_of::<usize>()
+        size_of_val(&*self.linear_from_srgb) + self.columns.bytes()
     }
 
     /// Decodes a run for samples that are at least `step` apart, in the cloud's space.

@@ -67,8 +67,8 @@ impl CloudShading {
     /// Bytes that it takes besides itself.
     pub(super) fn bytes(&self) -> usize {
         let color = if let Color::Map { table, .. } = &self.color { table.bytes() } else { 0 };
-        let columns = list_bytes(&self.columns.scalars) + list_bytes(&self.columns.labels);
-        self.opacity.bytes() + color + self.decoder.bytes() + columns + list_bytes(&self.named)
+        let columns = self.columns.bytes() + list_bytes(&self.named);
+        self.opacity.bytes() + color + self.decoder.bytes() + columns
     }
 
     /// Shading for an object at a position in the world. Until [`carry`](Self::carry) is called,
