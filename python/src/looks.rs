@@ -2,7 +2,7 @@
 
 use pyo3::prelude::*;
 use rayset::file::ScanError;
-use rayset::scene::Colormap;
+use rayset::scene::NamedPalette;
 use rayset_inputs::look::{Chosen, Picture};
 use rayset_inputs::style::{Group, OPTIONS, Spelling, Style};
 use rayset_inputs::values;
@@ -28,7 +28,7 @@ fn style(py: Python<'_>, arguments: &str) -> PyResult<Style> {
 #[pyfunction]
 pub(crate) fn look_options() -> Vec<String> {
     let options = OPTIONS.iter().filter(|option| option.group == Group::Look);
-    options.map(|option| Spelling::Snake.of(option.name()).into_owned()).collect()
+    options.map(|option| Spelling::Snake.of(option.name).into_owned()).collect()
 }
 
 /// What is chosen by arguments, as texts.
@@ -53,7 +53,7 @@ pub(crate) fn chosen(
 /// The colours of a map at `count` places, as screens show them, 0 to 1.
 #[pyfunction]
 pub(crate) fn colormap(py: Python<'_>, name: &str, count: usize) -> PyResult<Vec<[f64; 3]>> {
-    let map: Colormap = name
+    let map: NamedPalette = name
         .parse()
         .map_err(|error: rayset::ParseError| errors::error(py, Kind::Scene, error.to_string()))?;
     room::check(count as u64, 256, "the list of the colours", "ask for fewer")?;
@@ -64,7 +64,7 @@ pub(crate) fn colormap(py: Python<'_>, name: &str, count: usize) -> PyResult<Vec
 /// The names of all maps.
 #[pyfunction]
 pub(crate) fn colormaps() -> Vec<String> {
-    Colormap::all().map(|map| map.to_string()).collect()
+    NamedPalette::all().map(|map| map.to_string()).collect()
 }
 
 /// The number of bytes that a text such as `8GiB` means.

@@ -8,12 +8,13 @@ use rayset::Cloud;
 use rayset::build::GridBuildOptions;
 use rayset::build::{self, BuildOptions, BuildReport, InvalidPolicy, Precision};
 use rayset::output::Destination;
-use rayset::points::{ReadError, ReadOptions};
-use rayset::volumes::{self, RawLayout};
+use rayset::points::ReadError;
+use rayset::volumes;
 
 use crate::budget::{Budget, name_smallest_budget, name_smallest_grid_budget};
 use crate::build_parts::{self, PartArgs, PartOf, Work};
 use crate::memory::peak_rss;
+use crate::option_args::{ChoiceArgs, OfBuild};
 use crate::outputs::Outputs;
 use crate::progress::Meter;
 use rayset_inputs::{Files, Points, values};
@@ -34,54 +35,17 @@ pub(crate) struct BuildArgs {
     /// one volume: NRRD, MetaImage (MHA, MHD), NIfTI, VTI, VTR, VTK, VDB, DX, SLC, NPY or NPZ
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
-    /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as need
-    /// be
-    #[arg(long)]
-    raw: Option<RawLayout>,
+    #[command(flatten)]
+    choices: ChoiceArgs<OfBuild>,
     /// Cloud or grid file to write
     #[arg(short, long)]
     output: PathBuf,
-    /// Radius of influence: a number, a column, or `auto` (from the local spacing). By default the
-    /// column `radius` where there is one, else auto
-    #[arg(long)]
-    radius: Option<String>,
     /// Factor on the radius, wherever it comes from
     #[arg(long, default_value_t = 1.0)]
     radius_scale: f64,
-    /// Factor on every coordinate, and on radii of a column: for data in units that make them very
-    /// large or small
-    #[arg(long, default_value_t = 1.0)]
-    length_scale: f64,
-    /// Weight: a number or a column. By default the column `weight` where there is one, else 1
-    #[arg(long)]
-    weight: Option<String>,
     /// Factor on the weight, wherever it comes from
     #[arg(long, default_value_t = 1.0)]
     weight_scale: f64,
-    /// Columns to keep besides positions, radii, weights and colours, as in
-    /// intensity,classification or Velocities; `all`, or `none`. By default all that together take
-    /// at most 16 bytes a point, vectors whole
-    #[arg(long, value_delimiter = ',')]
-    attributes: Option<Vec<String>>,
-    /// Leave colours out
-    #[arg(long)]
-    no_color: bool,
-    /// Names of the columns of text files, arrays and snapshots in HDF5, as in x,y,z,-,intensity; -
-    /// leaves one out
-    #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
-    columns: Option<Vec<String>>,
-    /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by
-    /// default
-    #[arg(long, value_name = "N")]
-    volume_index: Option<u64>,
-    /// Points to sample on the faces of a mesh. By default ten a triangle, 1 to 20 million; of PLY
-    /// with 20 000 vertices or more, or with measurements of each, the vertices are the points
-    #[arg(long)]
-    mesh_points: Option<u64>,
-    /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge, stars,
-    /// black-holes or PartType7. By default gas where there is any, else all
-    #[arg(long, value_delimiter = ',')]
-    particles: Option<Vec<String>>,
     /// Stop at the first damaged file of a folder or pattern, instead of leaving it out and naming
     /// it at the end. Builds in parts always do
     #[arg(long)]
@@ -128,7 +92,7 @@ enum Invalid {
 pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let host = Program::quiet();
     let inputs = rayset_inputs::expand(&args.inputs, &host)?;
-    if args.raw.is_some() || rayset_inputs::has_volume(&inputs.paths)? {
+    if args.choices.0.raw.is_some() || rayset_inputs::has_volume(&inputs.paths)? {
         if args.parts.asked().is_some() {
             bail!("--part is for clouds; a grid is built by one process");
         }
@@ -141,7 +105,7 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     if let Some(part) = args.parts.asked() {
         return run_part(args, part, &inputs, options);
     }
-    if let Some(index) = args.volume_index {
+    if let Some(index) = args.choices.0.volume_index {
         bail!("--volume-index {index} is for volumes, and these are points");
     }
     let (Points { sources, left_out }, options) = open(args, &inputs, options, args.strict)?;
@@ -160,13 +124,6 @@ fn budget(args: &BuildArgs) -> Budget {
     Budget::of(args.memory, args.inputs.iter().chain([&args.output]))
 }
 
-fn read_options(args: &BuildArgs) -> ReadOptions {
-    ReadOptions::default()
-        .with_text_columns(args.columns.clone())
-        .with_mesh_points(args.mesh_points)
-        .with_particles(args.particles.clone())
-}
-
 /// Opens the points, and chooses the attributes that are kept of them.
 fn open(
     args: &BuildArgs,
@@ -174,9 +131,10 @@ fn open(
     options: BuildOptions,
     strict: bool,
 ) -> Result<(Points, BuildOptions)> {
-    let points = rayset_inputs::open_points(inputs, &read_options(args), strict, &Program::quiet())?;
+    let points =
+        rayset_inputs::open_points(inputs, &args.choices.0.read_options(), strict, &Program::quiet())?;
     let points = Points { sources: rayset_inputs::with_speeds(points.sources), ..points };
-    let columns = rayset_inputs::wanted_columns(args.attributes.as_deref(), &points.sources);
+    let columns = rayset_inputs::wanted_columns(args.choices.0.attributes.as_deref(), &points.sources);
     columns.remark().into_iter().for_each(report::remark);
     Ok((points, options.with_attributes(columns.kept)))
 }
@@ -185,7 +143,7 @@ fn open(
 fn run_part(args: &BuildArgs, part: PartOf, inputs: &Files, options: BuildOptions) -> Result<()> {
     let nothing = BuildOptions::default();
     let chosen = options.clone().with_memory_bytes(nothing.memory_bytes).with_threads(1).with_temp_dir(None);
-    let said = format!("{chosen:?} {:?} {:?}", args.attributes, read_options(args));
+    let said = format!("{chosen:?} {:?} {:?}", args.choices.0.attributes, args.choices.0.read_options());
     let work = Work {
         args: &args.parts,
         output: &args.output,
@@ -224,9 +182,9 @@ fn build_grid(args: &BuildArgs, inputs: &[PathBuf]) -> Result<()> {
     let [input] = inputs else { bail!("a grid is built from one volume at a time") };
     let output = Outputs::beside(inputs).add(&args.output, args.temp_dir.as_deref())?;
     output.require_file()?;
-    let source = match &args.raw {
+    let source = match &args.choices.0.raw()? {
         Some(layout) => layout.open(input)?,
-        None => volumes::open(input, args.volume_index)?,
+        None => volumes::open(input, args.choices.0.volume_index)?,
     };
     rayset_inputs::remark_about(input, &source, &Program::quiet());
     let meter = Meter::new("slices", args.json);
@@ -276,15 +234,11 @@ fn options(args: &BuildArgs) -> Result<BuildOptions> {
             }
         },
     };
-    let options = BuildOptions::default();
+    let options = args.choices.0.applied(BuildOptions::default())?;
     let threads = args.threads.unwrap_or(options.threads);
     Ok(options
-        .with_radius(args.radius.as_deref().map(values::rule).transpose()?)
         .with_radius_scale(args.radius_scale)
-        .with_length_scale(args.length_scale)
-        .with_weight(args.weight.as_deref().map(values::rule).transpose()?)
         .with_weight_scale(args.weight_scale)
-        .with_keep_color(!args.no_color)
         .with_invalid(match args.invalid {
             Invalid::Skip => InvalidPolicy::Skip,
             Invalid::SkipAll => InvalidPolicy::SkipAll,

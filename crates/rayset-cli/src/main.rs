@@ -24,13 +24,13 @@ mod interrupts;
 mod manual;
 mod memory;
 mod merge;
+mod option_args;
 mod outputs;
 mod part_note;
 mod progress;
 mod render;
 mod report;
 mod statistics;
-mod style_args;
 mod verify;
 #[cfg(feature = "view")]
 mod view;

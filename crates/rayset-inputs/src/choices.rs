@@ -6,69 +6,58 @@ use rayset::build::BuildOptions;
 use rayset::points::ReadOptions;
 use rayset::volumes::RawLayout;
 
+use crate::style::Flag;
+use crate::style::kinds::{Checked, Count, Kind, List, POSITIVE, Switch, Text};
+use crate::style::option::{OptionOf, Options, options};
 use crate::values;
 
-/// What is built of an input; clouds, grids and scenes have been built with theirs. `None` leaves a
-/// choice to the input. The cache tells choices by their `Debug` text.
-#[derive(Clone, Default, Debug)]
-pub struct BuildChoices {
-    /// Names of the columns of text files, arrays and snapshots in HDF5; `-` leaves one out.
-    pub columns: Option<Vec<String>>,
-    /// Volume to read of a series of them.
-    pub volume_index: Option<u64>,
-    /// Types of particles to read of a snapshot.
-    pub particles: Option<Vec<String>>,
-    /// Columns to keep; `all`, or `none`.
-    pub attributes: Option<Vec<String>>,
-    /// Points to sample on the faces of a mesh.
-    pub mesh_points: Option<u64>,
-    /// Radius of influence: a number, a column, or `auto`.
-    pub radius: Option<String>,
-    /// Weight: a number or a column.
-    pub weight: Option<String>,
-    /// Factor on every coordinate, and on radii of a column.
-    pub length_scale: Option<f64>,
-    /// Whether colours are left out.
-    pub no_color: bool,
-    /// The layout of an input that is nothing but voxels.
-    pub raw: Option<String>,
+options! {
+    /// What is built of an input; clouds, grids and scenes have been built with theirs. `None`
+    /// leaves a choice to the input. The cache tells choices by their `Debug` text.
+    BuildChoices
+    Build {
+        /// Names of the columns of text files, arrays and snapshots in HDF5, as in
+        /// x,y,z,-,intensity; - leaves one out
+        columns: Vec<String> = List;
+        /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by
+        /// default
+        volume_index: u64 = Count;
+        /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge,
+        /// stars, black-holes or PartType7. By default gas where there is any, else all
+        particles: Vec<String> = List;
+        /// Columns to keep besides positions, radii, weights and colours, as in
+        /// intensity,classification or Velocities; `all`, or `none`. By default all that together
+        /// take at most 16 bytes a point, vectors whole
+        attributes: Vec<String> = List;
+        /// Points to sample on the faces of a mesh. By default ten a triangle, 1 to 20 million; of
+        /// PLY with 20 000 vertices or more, or with measurements of each, the vertices are the
+        /// points
+        mesh_points: u64 = Count;
+        /// Radius of influence: a number, a column, or `auto` (from the local spacing). By default
+        /// the column `radius` where there is one, else auto
+        radius: String = Text;
+        /// Weight: a number or a column. By default the column `weight` where there is one, else 1
+        weight: String = Text;
+        /// Factor on every coordinate, and on radii of a column: for data in units that make them
+        /// very large or small
+        length_scale: f64 = POSITIVE;
+        /// Leave colours out
+        no_color: Flag = Switch;
+        /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as
+        /// need be
+        raw: String = Checked(raw_layout);
+    }
+}
+
+/// Checks a layout of voxels.
+fn raw_layout(text: &str) -> Result<(), String> {
+    text.parse::<RawLayout>().map(drop).map_err(|error| error.to_string())
 }
 
 impl BuildChoices {
     /// The first option that was given.
-    pub(crate) fn given(&self) -> Option<&'static str> {
-        let options = [
-            ("--columns", self.columns.is_some()),
-            ("--volume-index", self.volume_index.is_some()),
-            ("--particles", self.particles.is_some()),
-            ("--attributes", self.attributes.is_some()),
-            ("--mesh-points", self.mesh_points.is_some()),
-            ("--radius", self.radius.is_some()),
-            ("--weight", self.weight.is_some()),
-            ("--length-scale", self.length_scale.is_some()),
-            ("--no-color", self.no_color),
-            ("--raw", self.raw.is_some()),
-        ];
-        options.into_iter().find(|(_, given)| *given).map(|(name, _)| name)
-    }
-
-    /// The options as one would type them.
-    pub(crate) fn words(&self) -> Vec<String> {
-        let list = |names: &Option<Vec<String>>| names.as_ref().map(|names| names.join(","));
-        let number = |value: Option<f64>| value.map(|value| value.to_string());
-        let texts = [
-            ("columns", list(&self.columns)),
-            ("volume-index", self.volume_index.map(|index| index.to_string())),
-            ("particles", list(&self.particles)),
-            ("attributes", list(&self.attributes)),
-            ("mesh-points", self.mesh_points.map(|points| points.to_string())),
-            ("radius", self.radius.clone()),
-            ("weight", self.weight.clone()),
-            ("length-scale", number(self.length_scale)),
-            ("raw", self.raw.clone()),
-        ];
-        let with_values = texts.into_iter().filter_map(|(name, text)| Some(format!("--{name}={}", text?)));
-        with_values.chain(self.no_color.then(|| "--no-color".to_owned())).collect()
+    pub(crate) fn given(&self) -> Option<&'static OptionOf<Self>> {
+        Self::TABLE.iter().find(|option| option.is_given(self))
     }
 
     /// A text that is another for other choices.
@@ -77,7 +66,8 @@ impl BuildChoices {
     }
 
     /// How points are read.
-    pub(crate) fn read_options(&self) -> ReadOptions {
+    #[must_use]
+    pub fn read_options(&self) -> ReadOptions {
         ReadOptions::default()
             .with_text_columns(self.columns.clone())
             .with_mesh_points(self.mesh_points)
@@ -85,8 +75,11 @@ impl BuildChoices {
     }
 
     /// The same build with these choices, besides attributes.
-    pub(crate) fn applied(&self, options: BuildOptions) -> anyhow::Result<BuildOptions> {
-        let mut options = options.with_keep_color(!self.no_color);
+    ///
+    /// # Errors
+    /// If the radius or the weight is an empty text.
+    pub fn applied(&self, options: BuildOptions) -> anyhow::Result<BuildOptions> {
+        let mut options = options.with_keep_color(self.no_color.is_none());
         if let Some(radius) = &self.radius {
             options = options.with_radius(Some(values::rule(radius)?));
         }
@@ -96,13 +89,11 @@ impl BuildChoices {
         Ok(options.with_length_scale(self.length_scale.unwrap_or(1.0)))
     }
 
-    /// The columns that were asked for.
-    pub(crate) fn attributes(&self) -> Option<&[String]> {
-        self.attributes.as_deref()
-    }
-
     /// The layout of voxels without a header.
-    pub(crate) fn raw(&self) -> anyhow::Result<Option<RawLayout>> {
+    ///
+    /// # Errors
+    /// If it is none.
+    pub fn raw(&self) -> anyhow::Result<Option<RawLayout>> {
         let layout = self.raw.as_ref().map(|text| text.parse()).transpose();
         layout.context("the layout of voxels (--raw)")
     }

@@ -61,7 +61,7 @@ pub struct Resources<'a> {
 pub fn open(inputs: &[PathBuf], cache: &Cache, resources: Resources<'_>) -> Result<Opened> {
     let files = files::expand(inputs, resources.host)?;
     if let [file] = files.paths.as_slice() {
-        if let Some(option) = cache.choices.given()
+        if let Some(option) = cache.choices.given().map(|option| format!("--{}", option.name))
             && (kinds::is_scene(file)? || kinds::is_built(file)?)
         {
             bail!(
@@ -254,7 +254,7 @@ impl Work<'_> {
         host.writes(output, &[&*self.files.paths, &*pulled_in.files].concat())?;
         let Points { sources, left_out } = points;
         let sources = with_speeds(sources);
-        let columns = columns::wanted(choices.attributes(), &sources);
+        let columns = columns::wanted(choices.attributes.as_deref(), &sources);
         if let Some(remark) = columns.remark() {
             self.said.remark(&remark);
         }

@@ -6,6 +6,8 @@
 
 pub use rayset_files::grid::build::{GridBuildError, GridBuildOptions, build as grid_to_file};
 pub use rayset_files::octree::build::{
-    BuildControl, BuildError, BuildOptions, BuildParts, BuildReport, BuildStep, CloudBuilder, InvalidPolicy,
-    Precision, Progress, Quantity, Rule, Skipped, Stage,
+    BuildControl, BuildError, BuildOptions, BuildReport, CloudBuilder, InvalidPolicy, Precision, Progress,
+    Quantity, Rule, Skipped, Stage,
 };
+#[cfg(feature = "parts")]
+pub use rayset_files::octree::build::{BuildParts, BuildStep};

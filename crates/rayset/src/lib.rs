@@ -51,6 +51,7 @@ pub mod geometry;
 pub mod image;
 pub mod memory;
 pub mod output;
+#[cfg(feature = "parts")]
 pub mod parts;
 pub mod points;
 pub mod scene;
@@ -66,7 +67,7 @@ pub use rayset_render::field::{BARE_SAMPLES, bare_loop};
 pub use rayset_render::field::{SimdLevel, SplatCounts};
 pub use rayset_render::trace::{
     BandSink, FinishedTile, Picture, Prediction, PreparedScene, Region, RenderCounts, RenderError, Session,
-    SessionBuilder, SinkError, Tile, TileSink, View, Work,
+    SessionBuilder, SettingError, SinkError, Tile, TileSink, View, Work,
 };
 pub use rayset_store::container::OpenError;
 

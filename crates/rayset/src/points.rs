@@ -7,7 +7,7 @@
 //! records.
 
 #[doc(hidden)]
-pub use rayset_files::points::View;
+pub use rayset_files::points::WorkloadView;
 pub use rayset_files::points::{
     ColorDepth, ColumnInfo, ColumnLengthError, ColumnSlice, ColumnType, Place, PointBatch, PointSource,
     PositionSlice, ReadError, Schema, SliceSource, Values, Workload,

@@ -9,7 +9,7 @@ use super::picture::PictureArgs;
 use super::work::WorkArgs;
 use crate::annotate::AnnotateArgs;
 use crate::input_args::InputArgs;
-use crate::style_args::StyleArgs;
+use crate::option_args::{OfInput, StyleArgs};
 use rayset::parts::Share;
 use rayset_inputs::style::Style;
 use rayset_inputs::values::{self, Frames};
@@ -53,7 +53,7 @@ pub(crate) struct RenderArgs {
     #[command(flatten)]
     pub(super) annotate: AnnotateArgs,
     #[command(flatten)]
-    pub(super) style: StyleArgs<true>,
+    pub(super) style: StyleArgs<OfInput>,
     #[command(flatten)]
     pub(super) work: WorkArgs,
     /// Write statistics to this file, as JSON

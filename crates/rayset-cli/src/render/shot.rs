@@ -161,7 +161,7 @@ impl Shot {
 /// Reads a scene file, which says itself what can be chosen for clouds and grids.
 fn scene_file(args: &RenderArgs, path: &Path) -> Result<SceneFile> {
     if let Some(option) = args.style.0.given(Group::Look) {
-        let (name, path) = (option.name(), path.display());
+        let (name, path) = (option.name, path.display());
         bail!("--{name} is for clouds and grids; {path} says itself what its objects look like");
     }
     if args.style.0.given(Group::Camera).is_some() {

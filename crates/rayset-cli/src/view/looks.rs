@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use rayset::scene::Colormap;
+use rayset::scene::NamedPalette;
 use rayset::storage::address_of;
 use rayset_view::{Attribute, Choices, Command, Histogram, Looks as ForPages, Styled};
 
@@ -75,7 +75,7 @@ impl ForPages for LooksOfFile {
             }
             None => Vec::new(),
         };
-        let palettes = Colormap::all().map(|map| (map.to_string(), colors(map))).collect();
+        let palettes = NamedPalette::all().map(|map| (map.to_string(), colors(map))).collect();
         Choices {
             looks: self.looks.names().into_iter().map(str::to_owned).collect(),
             attributes,
@@ -87,7 +87,7 @@ impl ForPages for LooksOfFile {
     fn styled(&self, style: &Style) -> Result<Styled, String> {
         let other = [Group::Picture, Group::Camera].into_iter().find_map(|group| style.given(group));
         if let Some(option) = other {
-            return Err(format!("{} is no option of a look", option.name()));
+            return Err(format!("{} is no option of a look", option.name));
         }
         let style = style.or(&self.said_of(Group::Camera));
         let chosen = self.looks.chosen(&style, SIZE).map_err(|error| format!("{error:#}"))?;
@@ -123,7 +123,7 @@ fn spread(values: impl Iterator<Item = f64>) -> Option<Histogram> {
     Some(Histogram { low, high, logarithmic, counts })
 }
 
-fn colors(map: Colormap) -> Vec<String> {
+fn colors(map: NamedPalette) -> Vec<String> {
     let at = |i: usize| map.display_color(i as f64 / (PALETTE_COLORS - 1) as f64);
     let hex = |[r, g, b]: [f64; 3]| {
         let [r, g, b] = [r, g, b].map(|v| (v * 255.0).round() as u8);
@@ -182,8 +182,8 @@ mod tests {
         let cloud = Arc::new(Cloud::open(&cloud).expect("the cloud"));
         let options = OPTIONS.iter().filter(|option| option.group == Group::Look);
         for option in options {
-            let is_said = |said: &&&[(&str, &str)]| said.iter().any(|(name, _)| *name == option.name());
-            assert!(SAID.iter().any(|said| is_said(&said)), "{} is not said", option.name());
+            let is_said = |said: &&&[(&str, &str)]| said.iter().any(|(name, _)| *name == option.name);
+            assert!(SAID.iter().any(|said| is_said(&said)), "{} is not said", option.name);
         }
         for said in SAID {
             let of_looks = style(said);

@@ -28,8 +28,8 @@ use crate::input::{self, Resources};
 use crate::input_args::InputArgs;
 use crate::interrupts::TemporaryFolder;
 use crate::memory::PROCESS_BYTES;
+use crate::option_args::{StyleArgs, WithoutPicture};
 use crate::report::{bytes, name_of, remark, say_invitation};
-use crate::style_args::StyleArgs;
 use rayset_inputs::look::{Chosen, Looks};
 use rayset_inputs::style::Group;
 use rayset_inputs::values;
@@ -83,7 +83,7 @@ pub(crate) struct ViewArgs {
     #[command(flatten)]
     input: InputArgs,
     #[command(flatten)]
-    style: StyleArgs<false>,
+    style: StyleArgs<WithoutPicture>,
 }
 
 pub(crate) fn run(args: &ViewArgs) -> Result<()> {
@@ -192,7 +192,7 @@ fn subject(args: &ViewArgs, inputs: &[PathBuf], input: Input) -> Result<Subject>
     let (path, looks) = match input {
         Input::Scene(path) => {
             if let Some(option) = args.style.0.given(Group::Look) {
-                let (name, path) = (option.name(), path.display());
+                let (name, path) = (option.name, path.display());
                 anyhow::bail!("--{name} is for clouds and grids; {path} says itself what it looks like");
             }
             let unit = Space::of(&SceneFile::load(&path)?.scene).unit;

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use rayset::points::{self, ColumnType, LasSource, PointBatch, PointSource, ReadError, ReadOptions, Values};
+use rayset::points::{self, ColumnType, PointBatch, PointSource, ReadError, ReadOptions, Values, open_las};
 
 use crate::common::{Random, folder, real_data};
 use crate::las_writer::{Chunks, EXTENDED_AT, LasFile, descriptor, place_of_table, points_start};
@@ -17,7 +17,7 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
 
 /// Positions and the columns of a selection.
 fn read(path: &Path, selection: Option<&[usize]>) -> Result<(Vec<[f64; 3]>, Vec<Values>), ReadError> {
-    let mut source = LasSource::open(path)?;
+    let mut source = open_las(path)?;
     let all: Vec<usize> = (0..source.schema().columns.len()).collect();
     let selection = selection.unwrap_or(&all);
     source.select(selection);
@@ -44,7 +44,7 @@ fn complaint(path: &Path) -> String {
 /// Every number of a file against those of the `las` crate, an implementation of its own.
 fn agrees_with_the_las_crate(path: &Path) {
     let (position, columns) = read(path, None).unwrap_or_else(|e| panic!("{e}"));
-    let source = LasSource::open(path).expect("it opens");
+    let source = open_las(path).expect("it opens");
     let schema = source.schema();
     let mut oracle = las::Reader::from_path(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let format = *oracle.header().point_format();
@@ -175,7 +175,7 @@ fn a_selection_of_columns_reads_what_the_whole_holds_and_may_change_within_a_chu
             let one = read(&path, Some(&[i])).expect("it reads");
             assert!(one.0 == position && one.1 == [column.clone()], "column {i} alone");
         }
-        let mut source = LasSource::open(&path).expect("it opens");
+        let mut source = open_las(&path).expect("it opens");
         let mut batch = PointBatch::default();
         let mut at = 0;
         for i in 0..columns.len() {
@@ -227,7 +227,7 @@ fn extra_bytes_are_columns_of_their_types_scaled_where_the_file_says_so() {
     let folder = folder();
     let path = write(folder.path(), "a.las", &file.las());
     let (_, columns) = read(&path, None).expect("it reads");
-    let source = LasSource::open(&path).expect("it opens");
+    let source = open_las(&path).expect("it opens");
     let schema = source.schema();
     let column = |name: &str| {
         let index = schema.find(name).unwrap_or_else(|| panic!("{name} of {:?}", schema.columns));
@@ -258,7 +258,7 @@ fn the_reference_system_and_the_origin_are_in_the_schema_without_control_charact
     file.records.push(("LASF_Projection", 34735, keys));
     let open = |file: &LasFile| {
         let path = write(folder.path(), "a.las", &file.las());
-        LasSource::open(&path).expect("it opens").schema().clone()
+        open_las(&path).expect("it opens").schema().clone()
     };
     let schema = open(&file);
     assert_eq!(schema.crs, "EPSG:26910");

@@ -9,7 +9,7 @@ use laz::las::v2::LasPoint0Compressor;
 use laz::models::{ArithmeticModel, ArithmeticModelBuilder};
 use laz::record::{FieldCompressor, RecordCompressor, SequentialPointRecordCompressor};
 use proptest::prelude::*;
-use rayset::points::{LasSource, PointBatch, PointSource};
+use rayset::points::{PointBatch, PointSource, open_las};
 
 use crate::common::{folder, program};
 use crate::las_writer::{Chunks, LasFile, points_start};
@@ -95,7 +95,7 @@ fn a_layer_of_times_that_change_their_sequence_without_end_is_an_error_and_overf
 
 /// The bits of a file's times.
 fn times(path: &Path) -> Vec<u64> {
-    let mut source = LasSource::open(path).expect("it opens");
+    let mut source = open_las(path).expect("it opens");
     let column = source.schema().find("gps_time").expect("it has times");
     source.select(&[column]);
     let (mut times, mut batch) = (Vec::new(), PointBatch::default());

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use rayset_inputs::style::{OPTIONS, StyleOption};
+use rayset_inputs::style::OPTIONS;
 
 use crate::common::{Random, folder, succeeds};
 
@@ -63,7 +63,7 @@ fn whatever_is_said_of_a_picture_its_written_scene_renders_the_same_bytes() {
         read("a.png")
     };
     assert!(
-        OPTIONS.iter().map(StyleOption::name).eq(SAID.iter().map(|(name, _)| *name)),
+        OPTIONS.iter().map(|option| option.name).eq(SAID.iter().map(|(name, _)| *name)),
         "each option is said"
     );
     for (name, words) in SAID {

@@ -10,7 +10,7 @@ use super::census::Census;
 use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE, brick_shape};
 use super::labels::GridLabels;
 use super::slices::{Held, PIECE_BYTES, SliceError, Slices, Window};
-use super::{ReadError, VolumeSource};
+use super::{VolumeError, VolumeSource};
 use crate::octree::build::{BuildControl, Stage};
 use rayset_base::geometry::DVec3;
 use rayset_base::setters;
@@ -31,7 +31,7 @@ pub enum GridBuildError {
     Cancelled,
     /// The input cannot be read.
     #[error(transparent)]
-    Read(#[from] ReadError),
+    Read(#[from] VolumeError),
     /// The output cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),

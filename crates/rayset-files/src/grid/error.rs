@@ -8,7 +8,7 @@ use rayset_store::storage::shown;
 /// Why a volume cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum ReadError {
+pub enum VolumeError {
     /// The operating system refused.
     #[error("cannot read {}: {source}", shown(path))]
     Io {
@@ -53,7 +53,7 @@ pub enum ReadError {
     },
 }
 
-impl ReadError {
+impl VolumeError {
     /// An error at a place of a header.
     #[doc(hidden)]
     pub fn header(path: &Path, place: &str, what: &str) -> Self {

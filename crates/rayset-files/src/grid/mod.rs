@@ -10,7 +10,7 @@ pub mod labels;
 mod slices;
 mod source;
 
-pub use self::error::ReadError;
+pub use self::error::VolumeError;
 pub use self::file::Grid;
 pub use self::format::{GridHeader, VoxelKind};
 pub use self::source::{Described, VolumeSource, Voxels, what_of};

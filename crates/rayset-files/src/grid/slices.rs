@@ -8,7 +8,7 @@ use std::ops::Range;
 use super::census::Census;
 use super::format::{GridHeader, VoxelKind};
 use super::labels::{GridLabels, NamedLabels};
-use super::{ReadError, VolumeSource};
+use super::{VolumeError, VolumeSource};
 use rayset_base::cancel::CancelToken;
 use rayset_store::container::{Identity, StreamHash};
 use rayset_store::spill::Spill;
@@ -18,7 +18,7 @@ pub(super) const PIECE_BYTES: usize = 1 << 20;
 
 /// Why slices cannot be read.
 pub(super) enum SliceError {
-    Read(ReadError),
+    Read(VolumeError),
     /// The temporary file.
     Spill(io::Error),
     Cancelled,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use rayset_base::geometry::{DAffine3, DVec3};
 use rayset_base::numbers::Stored;
 
-use super::error::ReadError;
+use super::error::VolumeError;
 use super::format::VoxelKind;
 use super::labels::NamedLabels;
 
@@ -81,11 +81,11 @@ pub struct Described {
 impl Described {
     /// Checks that a grid can be built from this. Returns the number of bytes of its voxels in the
     /// file.
-    pub fn check(&self, path: &Path) -> Result<u64, ReadError> {
+    pub fn check(&self, path: &Path) -> Result<u64, VolumeError> {
         let bytes = self.size.iter().try_fold(self.stored.bytes() as u64, |all, n| all.checked_mul(*n));
         if self.size.iter().any(|n| !(2..=MOST_VOXELS).contains(n)) {
             let what = format!("{:?} voxels: 2 to {MOST_VOXELS} are needed along each axis", self.size);
-            return Err(ReadError::header(path, &self.size_place, &what));
+            return Err(VolumeError::header(path, &self.size_place, &what));
         }
         let last = DVec3::from_array(self.size.map(|n| (n - 1) as f64));
         let voxel_from_space = self.space_from_voxel.inverse();
@@ -98,10 +98,10 @@ impl Described {
         if !usable {
             let what = "the axes are not independent, a spacing is 0, or a number is not finite or far too large \
                         or small";
-            return Err(ReadError::header(path, &self.axes_place, what));
+            return Err(VolumeError::header(path, &self.axes_place, what));
         }
         bytes.ok_or_else(|| {
-            ReadError::header(path, &self.size_place, "the voxels have more bytes than any file holds")
+            VolumeError::header(path, &self.size_place, "the voxels have more bytes than any file holds")
         })
     }
 }
@@ -119,7 +119,7 @@ impl VolumeSource {
     /// Voxel centres are at integers, which `space_from_voxel` maps to the space of the grid.
     ///
     /// # Errors
-    /// [`ReadError::Header`] if there are fewer than two voxels along an axis, or the transform
+    /// [`VolumeError::Header`] if there are fewer than two voxels along an axis, or the transform
     /// flattens space.
     pub fn from_reader(
         name: &str,
@@ -127,7 +127,7 @@ impl VolumeSource {
         kind: VoxelKind,
         space_from_voxel: DAffine3,
         voxels: Box<dyn Read + Send>,
-    ) -> Result<Self, ReadError> {
+    ) -> Result<Self, VolumeError> {
         let stored = match kind {
             VoxelKind::U8 => Stored::U8,
             VoxelKind::I16 => Stored::I16,
@@ -214,9 +214,9 @@ impl VolumeSource {
     /// compressed data are checked.
     ///
     /// # Errors
-    /// [`ReadError::Data`] if the file ends early or late, is damaged, or has a finite number out
+    /// [`VolumeError::Data`] if the file ends early or late, is damaged, or has a finite number out
     /// of the range of single precision.
-    pub fn read(&mut self, voxels: &mut [u8]) -> Result<(), ReadError> {
+    pub fn read(&mut self, voxels: &mut [u8]) -> Result<(), VolumeError> {
         let (width, out_width) = (self.stored.bytes(), self.kind.bytes());
         let bytes = voxels.len() / out_width * width;
         self.scratch.resize(bytes, 0);
@@ -239,7 +239,7 @@ impl VolumeSource {
 
     /// Checks that exactly the expected bytes follow the voxels. The decoders verify checksums at
     /// the end of compressed data.
-    fn check_end(&mut self) -> Result<(), ReadError> {
+    fn check_end(&mut self) -> Result<(), VolumeError> {
         let Some(rest) = self.voxels.rest else { return Ok(()) };
         let found = io::copy(&mut (&mut self.voxels.data).take(rest.saturating_add(1)), &mut io::sink());
         match found {
@@ -259,8 +259,8 @@ impl VolumeSource {
         }
     }
 
-    fn wrong(&self, offset: u64, what: String) -> ReadError {
-        ReadError::Data { path: self.voxels.path.clone(), offset, what }
+    fn wrong(&self, offset: u64, what: String) -> VolumeError {
+        VolumeError::Data { path: self.voxels.path.clone(), offset, what }
     }
 }
 

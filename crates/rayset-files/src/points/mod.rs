@@ -14,4 +14,4 @@ pub use self::column::{ColumnInfo, ColumnType, Values};
 pub use self::error::{Place, ReadError};
 pub use self::slices::{ColumnLengthError, ColumnSlice, PositionSlice, SliceSource};
 pub use self::source::{ColorDepth, PointBatch, PointSource, Schema};
-pub use self::synthetic::{View, Workload};
+pub use self::synthetic::{Workload, WorkloadView};

@@ -6,6 +6,7 @@ use super::column::{ColumnInfo, Values};
 use super::error::ReadError;
 use super::roles;
 use rayset_base::cancel::CancelToken;
+use rayset_base::geometry::DVec3;
 
 /// The value range of the colour columns of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +47,7 @@ pub struct Schema {
     /// columns are.
     pub reading: String,
     /// The direction that is up in files of this kind; `None` if they have no convention.
-    pub up: Option<[f64; 3]>,
+    pub up: Option<DVec3>,
     /// The step of the file's coordinates along each axis: they are multiples of it, apart from a
     /// constant. `None` if the file does not say.
     pub step: Option<[f64; 3]>,

@@ -43,7 +43,7 @@ pub struct Workload {
 
 /// A suitable viewpoint for a workload.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct View {
+pub struct WorkloadView {
     /// Eye position.
     pub position: DVec3,
     /// The point that the eye looks at.
@@ -78,7 +78,7 @@ impl Workload {
 
     /// The viewpoint of the standard benchmark, or a good one for a decorative cloud.
     #[must_use]
-    pub fn view(&self) -> View {
+    pub fn view(&self) -> WorkloadView {
         let (position, up) = match self.shape {
             Shape::Sphere | Shape::Cube => (DVec3::new(0.0, 0.0, 3.0), DVec3::Y),
             Shape::Knot => (DVec3::new(-1.5, -6.2, 4.4), DVec3::Z),
@@ -86,7 +86,7 @@ impl Workload {
             Shape::Vase => (DVec3::new(0.3, 1.1, 1.7), DVec3::Y),
         };
         let look_at = if self.shape == Shape::Vase { DVec3::Y * 0.5 } else { DVec3::ZERO };
-        View { position, look_at, up, fovy_degrees: 45.0 }
+        WorkloadView { position, look_at, up, fovy_degrees: 45.0 }
     }
 
     /// The stream of points.

@@ -5,25 +5,25 @@ use std::io::Read;
 use std::path::Path;
 
 #[cfg(feature = "e57")]
-use super::e57::E57Source;
-use super::gadget::{self, GadgetSource};
+use super::e57::E57Reader;
+use super::gadget::{self, GadgetReader};
 #[cfg(feature = "las")]
-use super::las::LasSource;
-use super::mesh::{MeshFormat, MeshSource, ObjSource, begins_as_off};
-use super::npy::{self, NpySource};
+use super::las::LasReader;
+use super::mesh::{MeshFormat, MeshSource, ObjPointReader, begins_as_off};
+use super::npy::{self, NpyReader};
 use super::packed::Packing;
-use super::pcd::{self, PcdSource};
-use super::ply::PlySource;
+use super::pcd::{self, PcdReader};
+use super::ply::PlyReader;
 use super::ply_body::Body;
 use super::ply_header::Property;
-use super::ptx::{self, PtxSource};
+use super::ptx::{self, PtxReader};
 #[cfg(feature = "hdf5")]
-use super::snapshot::SnapshotSource;
-use super::splats::{CompressedPlySource, GaussianPlySource, KsplatSource, SplatSource, SpzSource};
+use super::snapshot::SnapshotReader;
+use super::splats::{CompressedPlyReader, GaussianPlyReader, KsplatReader, SplatReader, SpzReader};
 use super::stream::Stream;
-use super::text::TextSource;
-use super::velodyne::VelodyneSource;
-use super::vtk::{self, VtkSource};
+use super::text::TextReader;
+use super::velodyne::VelodyneReader;
+use super::vtk::{self, VtkReader};
 use super::{Place, PointSource, ReadError, geographic, refusals, roles};
 use rayset_base::setters;
 use rayset_store::storage::input_file::{self, InputFile, Named};
@@ -75,20 +75,20 @@ const FORMATS: &[Format] = &[
     },
     Format {
         extensions: &["spz"],
-        begins: SpzSource::begins,
-        open: |path, _| Ok(Box::new(SpzSource::open(path)?)),
+        begins: SpzReader::begins,
+        open: |path, _| Ok(Box::new(SpzReader::open(path)?)),
     },
     Format {
         extensions: &["splat"],
         // Nothing but records.
         begins: |_| false,
-        open: |path, _| Ok(Box::new(SplatSource::open(path)?)),
+        open: |path, _| Ok(Box::new(SplatReader::open(path)?)),
     },
     Format {
         extensions: &["ksplat"],
         // A version alone.
         begins: |_| false,
-        open: |path, _| Ok(Box::new(KsplatSource::open(path)?)),
+        open: |path, _| Ok(Box::new(KsplatReader::open(path)?)),
     },
     Format {
         extensions: &["stl"],
@@ -113,42 +113,42 @@ const FORMATS: &[Format] = &[
     Format {
         extensions: &["gadget", "gadget2"],
         begins: gadget::begins,
-        open: |path, options| Ok(Box::new(GadgetSource::open(path, options.particles.as_deref())?)),
+        open: |path, options| Ok(Box::new(GadgetReader::open(path, options.particles.as_deref())?)),
     },
     Format {
         extensions: &["npy", "npz"],
         begins: npy::begins,
-        open: |path, options| Ok(Box::new(NpySource::open(path, options.text_columns.as_deref())?)),
+        open: |path, options| Ok(Box::new(NpyReader::open(path, options.text_columns.as_deref())?)),
     },
     Format { extensions: &["hdf5", "h5", "hdf"], begins: is_hdf5, open: open_hdf5 },
     Format {
         extensions: &["vtk", "vtp", "vtu"],
         begins: vtk::begins,
-        open: |path, _| Ok(Box::new(VtkSource::open(path)?)),
+        open: |path, _| Ok(Box::new(VtkReader::open(path)?)),
     },
     Format { extensions: &["e57"], begins: |head| head.starts_with(b"ASTM-E57"), open: open_e57 },
     Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
     Format {
         extensions: &["pcd"],
         begins: pcd::begins,
-        open: |path, _| Ok(Box::new(PcdSource::open(path)?)),
+        open: |path, _| Ok(Box::new(PcdReader::open(path)?)),
     },
     Format {
         extensions: &["ptx"],
         begins: ptx::begins,
-        open: |path, _| Ok(Box::new(PtxSource::open(path)?)),
+        open: |path, _| Ok(Box::new(PtxReader::open(path)?)),
     },
     Format {
         extensions: &["bin", "velodyne"],
         // Nothing but records.
         begins: |_| false,
-        open: |path, _| Ok(Box::new(VelodyneSource::open(path)?)),
+        open: |path, _| Ok(Box::new(VelodyneReader::open(path)?)),
     },
     Format {
         extensions: &["xyz", "txt", "csv", "asc", "pts"],
         // Any text may be a table; others may be, too.
         begins: |_| false,
-        open: |path, options| Ok(Box::new(TextSource::open(path, options.text_columns.as_deref())?)),
+        open: |path, options| Ok(Box::new(TextReader::open(path, options.text_columns.as_deref())?)),
     },
 ];
 
@@ -183,11 +183,11 @@ fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
         let (header, _) = Body::open(path)?;
         let vertex = header.elements.iter().find(|element| element.name == "vertex");
         let names: Vec<&str> = vertex.iter().flat_map(|v| &v.properties).map(Property::name).collect();
-        if CompressedPlySource::has_layout(&names) {
-            return Ok(Box::new(CompressedPlySource::open(path)?));
+        if CompressedPlyReader::has_layout(&names) {
+            return Ok(Box::new(CompressedPlyReader::open(path)?));
         }
-        if GaussianPlySource::has_layout(&names) {
-            return Ok(Box::new(GaussianPlySource::open(path)?));
+        if GaussianPlyReader::has_layout(&names) {
+            return Ok(Box::new(GaussianPlyReader::open(path)?));
         }
         let faces =
             header.elements.iter().find(|element| element.name == "face").map_or(0, |face| face.count);
@@ -205,14 +205,14 @@ fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
             if let Some(mesh) = is_shape.then(|| MeshSource::of_faces(path, MeshFormat::Ply)).flatten() {
                 return Ok(Box::new(mesh));
             }
-            let vertices = PlySource::open(path)?;
+            let vertices = PlyReader::open(path)?;
             return Ok(Box::new(vertices.with_warning(format!(
                 "the {} vertices are read, not the {faces} faces; `rayset build --mesh-points N` has points on the faces",
                 vertex.count
             ))));
         }
     }
-    Ok(Box::new(PlySource::open(path)?))
+    Ok(Box::new(PlyReader::open(path)?))
 }
 
 /// Opens the faces of an OBJ file or, where there are none, its vertices.
@@ -222,7 +222,7 @@ fn open_obj(path: &Path, options: &ReadOptions) -> Opened {
         return Ok(Box::new(mesh));
     }
     let has_colors = !mesh.schema().columns.is_empty();
-    Ok(Box::new(ObjSource::open(path, mesh.vertices(), has_colors)?))
+    Ok(Box::new(ObjPointReader::open(path, mesh.vertices(), has_colors)?))
 }
 
 /// Whether a file is HDF5: its signature is at the start, or after a block of the user's of 512,
@@ -234,7 +234,7 @@ fn is_hdf5(head: &[u8]) -> bool {
 #[cfg(feature = "hdf5")]
 fn open_hdf5(path: &Path, options: &ReadOptions) -> Opened {
     let (particles, names) = (options.particles.as_deref(), options.text_columns.as_deref());
-    Ok(Box::new(SnapshotSource::open(path, particles, names)?))
+    Ok(Box::new(SnapshotReader::open(path, particles, names)?))
 }
 
 #[cfg(not(feature = "hdf5"))]
@@ -250,7 +250,7 @@ const COMPRESSED: &[&str] = &["spz"];
 
 #[cfg(feature = "las")]
 fn open_las(path: &Path, _: &ReadOptions) -> Opened {
-    Ok(Box::new(LasSource::open(path)?))
+    Ok(Box::new(LasReader::open(path)?))
 }
 
 #[cfg(not(feature = "las"))]
@@ -260,7 +260,7 @@ fn open_las(path: &Path, _: &ReadOptions) -> Opened {
 
 #[cfg(feature = "e57")]
 fn open_e57(path: &Path, _: &ReadOptions) -> Opened {
-    Ok(Box::new(E57Source::open(path)?))
+    Ok(Box::new(E57Reader::open(path)?))
 }
 
 #[cfg(not(feature = "e57"))]
@@ -300,11 +300,11 @@ fn open_pipe(path: &Path, options: &ReadOptions) -> Opened {
     let named = || FORMATS.iter().find(|format| format.extensions.iter().any(ends));
     let found = FORMATS.iter().find(|format| (format.begins)(&head)).or_else(named);
     match found.map(|format| format.extensions[0]) {
-        Some("ply") => Ok(Box::new(PlySource::of(stream)?)),
-        Some("pcd") => Ok(Box::new(PcdSource::of(stream)?)),
-        Some("ptx") => Ok(Box::new(PtxSource::of(stream)?)),
+        Some("ply") => Ok(Box::new(PlyReader::of(stream)?)),
+        Some("pcd") => Ok(Box::new(PcdReader::of(stream)?)),
+        Some("ptx") => Ok(Box::new(PtxReader::of(stream)?)),
         None | Some("xyz") if !head.is_empty() && !refusals::is_recognized(path, &head) => {
-            Ok(Box::new(TextSource::of(stream, options.text_columns.as_deref())?))
+            Ok(Box::new(TextReader::of(stream, options.text_columns.as_deref())?))
         }
         Some(other) if !head.is_empty() => {
             let what = format!(
@@ -361,7 +361,7 @@ fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
         // Bytes of 0 may follow the last line.
         let used = head.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
         let is_text = used > 0 && !head[..used].contains(&0) && !refusals::is_recognized(path, &head);
-        let table = is_text.then(|| TextSource::open(path, options.text_columns.as_deref()).ok()).flatten();
+        let table = is_text.then(|| TextReader::open(path, options.text_columns.as_deref()).ok()).flatten();
         return table.map(|table| Box::new(table) as Box<dyn PointSource>).ok_or_else(unknown);
     };
     // A format of which compression is a part has files that begin so, or a name of its own.
@@ -371,7 +371,7 @@ fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
     let Some(format) = begins(&head).or(within).or_else(|| named(&name)) else {
         // Any text may be a table, under any name.
         let is_text = !content.contains(&0) && !refusals::is_recognized(Path::new(inner), &content);
-        let table = is_text.then(|| TextSource::open(path, options.text_columns.as_deref()).ok()).flatten();
+        let table = is_text.then(|| TextReader::open(path, options.text_columns.as_deref()).ok()).flatten();
         return table.map(|table| Box::new(table) as Box<dyn PointSource>).ok_or_else(unknown);
     };
     let is_within = within.is_some_and(|within| std::ptr::eq(within, format));

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Place, PointBatch, PointSource, ReadError, Schema};
 use rayset_base::cancel::CancelToken;
+use rayset_base::geometry::DVec3;
 
 /// EPSG codes of the usual systems of longitudes and latitudes.
 const CODES: [&str; 8] = ["4326", "4258", "4269", "4283", "4617", "4979", "4171", "6318"];
@@ -194,7 +195,7 @@ pub(super) fn in_metres(
     let Some(projection) = projection else { return Ok(source) };
     let mut schema = source.schema().clone();
     schema.crs = format!("EPSG:{}", projection.epsg());
-    schema.up = schema.up.or(Some([0.0, 0.0, 1.0]));
+    schema.up = schema.up.or(Some(DVec3::Z));
     schema.step = schema.step.map(|[x, y, z]| [x * METRES_OF_DEGREE, y * METRES_OF_DEGREE, z]);
     schema.warnings.push(format!(
         "degrees of longitude and latitude are made metres, of {projection} (EPSG:{})",

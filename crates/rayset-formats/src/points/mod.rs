@@ -9,6 +9,7 @@
 mod decimal_mark;
 #[cfg(feature = "e57")]
 mod e57;
+mod file_source;
 mod formats;
 mod gadget;
 mod geographic;
@@ -46,14 +47,12 @@ mod vtk;
 
 pub use rayset_files::points::{
     ArraySource, ColorDepth, ColumnInfo, ColumnLengthError, ColumnSlice, ColumnType, Place, PointBatch,
-    PointSource, PositionSlice, ReadError, Schema, SliceSource, Values, View, Workload, roles,
+    PointSource, PositionSlice, ReadError, Schema, SliceSource, Values, Workload, WorkloadView, roles,
 };
 
 pub use self::formats::{ReadOptions, open};
 pub use self::in_turn::InTurn;
 #[cfg(feature = "las")]
-pub use self::las::LasSource;
+pub use self::las::open_las;
 pub use self::mesh::MeshSource;
-pub use self::ply::PlySource;
 pub use self::ply_write::PlyWriter;
-pub use self::text::TextSource;

@@ -1,6 +1,6 @@
 //! The types of particles in snapshots of simulations: their names, and which of them are read.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::{Place, ReadError};
 
@@ -62,6 +62,42 @@ pub(super) fn chosen(
     types.sort_unstable();
     types.dedup();
     Ok(types)
+}
+
+/// How many particles of each of `N` types the files of a snapshot have together.
+pub(super) struct Census<const N: usize> {
+    pub(super) counts: [u64; N],
+    /// The first file with particles of each type, which says what the type has.
+    samples: [usize; N],
+}
+
+impl<const N: usize> Census<N> {
+    /// Counts the particles of all files; `counts_of` are those of one.
+    pub(super) fn take(
+        files: &[PathBuf],
+        counts_of: impl Fn(&Path) -> Result<[u64; N], ReadError>,
+    ) -> Result<Self, ReadError> {
+        let (mut counts, mut samples) = ([0_u64; N], [0; N]);
+        for (index, path) in files.iter().enumerate() {
+            for (kind, here) in counts_of(path)?.into_iter().enumerate() {
+                if counts[kind] == 0 {
+                    samples[kind] = index;
+                }
+                counts[kind] = counts[kind].saturating_add(here);
+            }
+        }
+        Ok(Self { counts, samples })
+    }
+
+    /// The first file with particles of a type.
+    pub(super) fn sample<'a>(&self, files: &'a [PathBuf], kind: usize) -> &'a Path {
+        &files[self.samples[kind]]
+    }
+
+    /// The particles of these types together.
+    pub(super) fn total(&self, kinds: &[usize]) -> u64 {
+        kinds.iter().fold(0, |all, &kind| all.saturating_add(self.counts[kind]))
+    }
 }
 
 /// ∫ω dV of the kernel of SPH codes, the M4 cubic spline, over the unit ball if its peak is 1.

@@ -3,10 +3,12 @@
 
 use std::path::Path;
 
+use super::file_source::{FileSource, RecordReader, Request, set_axis};
 use super::ply_body::{BUFFER_BYTES, Body, Part};
 use super::ply_header::{Element, Encoding, Property, Scalar};
 use super::stream::Stream;
-use super::{ColorDepth, ColumnInfo, Place, PointBatch, PointSource, ReadError, Schema, roles};
+use super::{ColorDepth, ColumnInfo, Place, PointBatch, ReadError, Schema, roles};
+use rayset_base::geometry::DVec3;
 
 /// Where the value of a property goes.
 #[derive(Clone, Copy, Debug)]
@@ -16,8 +18,7 @@ enum Target {
 }
 
 /// The vertices of a PLY file.
-#[derive(Debug)]
-pub struct PlySource {
+pub(super) struct PlyReader {
     body: Body,
     vertex: Element,
     axes: [usize; 3],
@@ -25,25 +26,22 @@ pub struct PlySource {
     properties: Vec<usize>,
     /// The selected properties, and where their values go; a property may have several targets.
     targets: Vec<(usize, Target)>,
-    schema: Schema,
-    selected: Vec<usize>,
-    next: u64,
     /// The values of a record.
     values: Vec<f64>,
 }
 
-impl PlySource {
+impl PlyReader {
     /// Opens a file, reads its header and skips to its vertices.
     ///
     /// # Errors
     /// [`ReadError`] if the file cannot be read, is not a PLY file, or has no `vertex` element with
     /// x, y and z.
-    pub fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         Self::of(Stream::open(path)?)
     }
 
     /// The vertices of a stream.
-    pub(super) fn of(input: Stream) -> Result<Self, ReadError> {
+    pub(super) fn of(input: Stream) -> Result<FileSource<Self>, ReadError> {
         let path = input.path().to_owned();
         let (header, mut body) = Body::of(input)?;
         let fail = |what: String| ReadError::malformed(&path, Place::Line(header.lines), what);
@@ -57,7 +55,7 @@ impl PlySource {
         // Of nerfstudio.
         let said = |comment: &str| schema.description.contains(comment);
         let vertical = ["Vertical Axis: y", "Vertical Axis: z"].iter().position(|comment| said(comment));
-        schema.up = vertical.map(|axis| [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]][axis]);
+        schema.up = vertical.map(|axis| [DVec3::Y, DVec3::Z][axis]);
         if header.elements.len() == 1 && vertex.has_layout_of_colmap() && !said(";") {
             schema.description.push_str(", in the layout of COLMAP");
         }
@@ -83,108 +81,70 @@ impl PlySource {
         for element in &header.elements[..index] {
             body.skip(element)?;
         }
-        let values = vec![0.0; vertex.properties.len()];
-        let mut source = Self {
-            body,
-            vertex,
-            axes,
-            properties,
-            targets: Vec::new(),
-            schema,
-            selected: Vec::new(),
-            next: 0,
-            values,
-        };
-        source.select(&[]);
-        Ok(source)
-    }
-
-    /// The same file, with a sentence about what of it is not read.
-    pub(super) fn with_warning(mut self, sentence: String) -> Self {
-        self.schema.warnings.push(sentence);
-        self
+        let (count, values) = (vertex.count, vec![0.0; vertex.properties.len()]);
+        let reader = Self { body, vertex, axes, properties, targets: Vec::new(), values };
+        Ok(FileSource::new(&path, schema, Some(count), reader))
     }
 
     /// Reads binary records without lists.
-    fn fill_fixed(&mut self, batch: &mut PointBatch, count: usize, stride: usize) -> Result<(), ReadError> {
+    fn read_fixed(
+        &mut self,
+        request: &Request<'_>,
+        stride: usize,
+        batch: &mut PointBatch,
+    ) -> Result<(), ReadError> {
         let big = self.body.encoding() == Encoding::BigEndian;
-        let mut left = count;
-        while left > 0 {
-            let chunk = left.min((BUFFER_BYTES / stride).max(1));
-            let records = self.body.fixed(&self.vertex, self.next, chunk, stride)?;
-            batch.position.resize(batch.position.len() + chunk, [0.0; 3]);
-            let first = batch.position.len() - chunk;
-            for &(place, target) in &self.targets {
-                let before = &self.vertex.properties[..place];
-                let sizes = before
-                    .iter()
-                    .map(|p| if let Property::Scalar { kind, .. } = p { kind.size() } else { 0 });
-                let offset: usize = sizes.sum();
-                let Property::Scalar { kind, .. } = self.vertex.properties[place] else { continue };
-                let values = (0..chunk).map(|i| kind.decode(&records[i * stride + offset..], big));
-                match target {
-                    Target::Axis(axis) => {
-                        for (p, v) in batch.position[first..].iter_mut().zip(values) {
-                            p[axis] = v;
-                        }
-                    }
-                    Target::Column(column) => values.for_each(|v| batch.columns[column].push(v)),
-                }
+        let rows = request.most.min((BUFFER_BYTES / stride).max(1));
+        let records = self.body.fixed(&self.vertex, request.first, rows, stride)?;
+        let first = batch.len();
+        batch.position.resize(first + rows, [0.0; 3]);
+        for &(place, target) in &self.targets {
+            let before = &self.vertex.properties[..place];
+            let sizes =
+                before.iter().map(|p| if let Property::Scalar { kind, .. } = p { kind.size() } else { 0 });
+            let offset: usize = sizes.sum();
+            let Property::Scalar { kind, .. } = self.vertex.properties[place] else { continue };
+            let values = (0..rows).map(|i| kind.decode(&records[i * stride + offset..], big));
+            match target {
+                Target::Axis(axis) => set_axis(batch, first, axis, values),
+                Target::Column(column) => values.for_each(|v| batch.columns[column].push(v)),
             }
-            self.next += chunk as u64;
-            left -= chunk;
         }
         Ok(())
     }
 
-    /// Reads records of varying length, and ASCII records.
-    fn fill_varying(&mut self, batch: &mut PointBatch, count: usize) -> Result<(), ReadError> {
-        for _ in 0..count {
-            let values = &mut self.values;
-            self.body.record(
-                &self.vertex,
-                self.next,
-                |_| false,
-                |place, part| {
-                    if let Part::Scalar(value) = part {
-                        values[place] = value;
-                    }
-                    Ok(())
-                },
-            )?;
-            let mut position = [0.0; 3];
-            for &(place, target) in &self.targets {
-                match target {
-                    Target::Axis(axis) => position[axis] = self.values[place],
-                    Target::Column(column) => batch.columns[column].push(self.values[place]),
+    /// Reads a record of varying length, or in ASCII.
+    fn read_varying(&mut self, index: u64, batch: &mut PointBatch) -> Result<(), ReadError> {
+        let values = &mut self.values;
+        self.body.record(
+            &self.vertex,
+            index,
+            |_| false,
+            |place, part| {
+                if let Part::Scalar(value) = part {
+                    values[place] = value;
                 }
+                Ok(())
+            },
+        )?;
+        let mut position = [0.0; 3];
+        for &(place, target) in &self.targets {
+            match target {
+                Target::Axis(axis) => position[axis] = self.values[place],
+                Target::Column(column) => batch.columns[column].push(self.values[place]),
             }
-            batch.position.push(position);
-            self.next += 1;
         }
+        batch.position.push(position);
         Ok(())
     }
 }
 
-impl PointSource for PlySource {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.vertex.count)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(self.body.path())
-    }
-
+impl RecordReader for PlyReader {
     fn memory_needed(&self) -> u64 {
         self.body.memory_needed()
     }
 
     fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
         let axes = self.axes.iter().enumerate().map(|(axis, &place)| (place, Target::Axis(axis)));
         let columns =
             columns.iter().enumerate().map(|(to, &from)| (self.properties[from], Target::Column(to)));
@@ -195,27 +155,25 @@ impl PointSource for PlySource {
         self.body.encoding() != Encoding::Ascii && self.vertex.stride().is_some() && self.body.can_seek()
     }
 
-    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
-        let count = count.min(self.vertex.count - self.next);
+    fn skip(&mut self, request: &Request<'_>) -> Result<bool, ReadError> {
+        let count = request.most as u64;
         match self.vertex.stride() {
             Some(stride) if self.can_skip() => self.body.seek_records(count, stride)?,
             _ => self.body.skip(&Element { count, ..self.vertex.clone() })?,
         }
-        self.next += count;
-        Ok(())
+        Ok(true)
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
-        let count = (self.vertex.count - self.next).min(limit as u64) as usize;
-        if self.next == self.vertex.count {
-            return self.body.check_rest();
-        }
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
         match (self.body.encoding(), self.vertex.stride()) {
             (Encoding::LittleEndian | Encoding::BigEndian, Some(stride)) => {
-                self.fill_fixed(batch, count, stride)
+                self.read_fixed(request, stride, batch)
             }
-            _ => self.fill_varying(batch, count),
+            _ => (0..request.most as u64).try_for_each(|row| self.read_varying(request.first + row, batch)),
         }
+    }
+
+    fn finish(&mut self) -> Result<(), ReadError> {
+        self.body.check_rest()
     }
 }

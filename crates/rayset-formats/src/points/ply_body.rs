@@ -39,11 +39,6 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// The file.
-    pub(super) fn path(&self) -> &Path {
-        self.input.path()
-    }
-
     /// Upper bound on the memory in bytes that reading needs.
     pub(super) fn memory_needed(&self) -> u64 {
         self.input.memory_needed()

@@ -14,9 +14,10 @@
 
 use std::path::Path;
 
+use super::file_source::{FileSource, RecordReader, Request};
 use super::lines::Lines;
 use super::stream::Stream;
-use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, roles};
+use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, ReadError, Schema, roles};
 
 /// Numbers on each of the lines that a scan begins with.
 const HEADER: [usize; 10] = [1, 1, 3, 3, 3, 3, 4, 4, 4, 4];
@@ -66,11 +67,9 @@ pub(super) fn begins(head: &[u8]) -> bool {
 }
 
 /// The points of a PTX file.
-pub(super) struct PtxSource {
+pub(super) struct PtxReader {
     lines: Lines,
     line: Vec<u8>,
-    schema: Schema,
-    selected: Vec<usize>,
     /// What some points of the file have.
     has: Has,
     /// Columns of the schema: of the intensity, and of red.
@@ -88,45 +87,47 @@ pub(super) struct PtxSource {
     pose: [[f64; 3]; 4],
 }
 
-impl PtxSource {
+impl PtxReader {
     /// Opens a file, and reads up to its first point.
     ///
     /// # Errors
     /// [`ReadError`] if the file cannot be read, or does not begin as a scan does.
-    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         Self::of(Stream::open(path)?)
     }
 
     /// The points of a stream.
-    pub(super) fn of(input: Stream) -> Result<Self, ReadError> {
+    pub(super) fn of(input: Stream) -> Result<FileSource<Self>, ReadError> {
         // What is read through twice: not a pipe.
         let again = input.is_file().then(|| input.path().to_owned());
-        let mut source = Self::first(input)?;
-        if source.left > 0 {
-            if !source.next_line()? {
-                return Err(source.ends_early());
+        let mut reader = Self::first(input)?;
+        if reader.left > 0 {
+            if !reader.next_line()? {
+                return Err(reader.ends_early());
             }
-            source.is_held = true;
+            reader.is_held = true;
             // A point of a wrong number of words is an error when it is read.
-            source.has = Has::of(source.words()).unwrap_or(Has { intensity: true, color: false });
-            if let Some(path) = again.filter(|_| source.has != Has { intensity: true, color: true }) {
-                source.has = source.has.and(Self::of_all(&path));
+            reader.has = Has::of(reader.words()).unwrap_or(Has { intensity: true, color: false });
+            if let Some(path) = again.filter(|_| reader.has != Has { intensity: true, color: true }) {
+                reader.has = reader.has.and(Self::of_all(&path));
             }
         }
-        let columns = &mut source.schema.columns;
-        if source.has.intensity {
-            source.intensity_at = Some(columns.len());
+        let mut columns = Vec::new();
+        if reader.has.intensity {
+            reader.intensity_at = Some(columns.len());
             columns.push(ColumnInfo::new("intensity", ColumnType::F32));
         }
-        if source.has.color {
-            source.color_at = Some(columns.len());
+        if reader.has.color {
+            reader.color_at = Some(columns.len());
             // Some scans may have no colours, which is NaN.
             let color = |name: &str| ColumnInfo::new(name, ColumnType::F32);
             columns.extend(["red", "green", "blue"].map(color));
         }
         columns.push(ColumnInfo::new("scan", ColumnType::U16).of_classes());
-        source.schema.description = "PTX".to_owned();
-        Ok(source)
+        let mut schema = Schema::new(columns, ColorDepth::Byte);
+        schema.description = "PTX".to_owned();
+        let path = reader.lines.path().to_owned();
+        Ok(FileSource::new(&path, schema, None, reader))
     }
 
     /// A stream, read up to the header of the first scan that has points.
@@ -134,8 +135,6 @@ impl PtxSource {
         let mut source = Self {
             lines: Lines::of(input)?,
             line: Vec::new(),
-            schema: Schema::new(Vec::new(), ColorDepth::Byte),
-            selected: Vec::new(),
             has: Has::default(),
             intensity_at: None,
             color_at: None,
@@ -287,7 +286,7 @@ impl PtxSource {
     }
 
     /// Reads the point on the current line.
-    fn append(&mut self, batch: &mut PointBatch) -> Result<(), ReadError> {
+    fn append(&mut self, selected: &[usize], batch: &mut PointBatch) -> Result<(), ReadError> {
         let mut numbers = [0.0; MOST];
         let found = self.numbers(&mut numbers)?;
         let Some(has) = Has::of(found) else {
@@ -322,7 +321,7 @@ impl PtxSource {
         let place = |axis: usize| x * m[0][axis] + y * m[1][axis] + z * m[2][axis] + m[3][axis];
         let is_nothing = [x, y, z] == [0.0; 3];
         batch.position.push(if is_nothing { [f64::NAN; 3] } else { [0, 1, 2].map(place) });
-        for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
+        for (column, &index) in batch.columns.iter_mut().zip(selected) {
             let of_color = self.color_at.and_then(|red| color.get(index.checked_sub(red)?));
             column.push(match of_color {
                 Some(color) => *color,
@@ -334,43 +333,22 @@ impl PtxSource {
     }
 }
 
-impl PointSource for PtxSource {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        None
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(self.lines.path())
-    }
-
+impl RecordReader for PtxReader {
     fn memory_needed(&self) -> u64 {
         self.lines.memory_needed()
     }
 
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
-    }
-
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
-        while batch.len() < limit {
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        loop {
             if !std::mem::take(&mut self.is_held) && !self.next_line()? {
-                if self.left > 0 {
-                    return Err(self.ends_early());
-                }
-                break;
+                return if self.left > 0 { Err(self.ends_early()) } else { Ok(()) };
             }
-            if self.left == 0 {
-                self.next_scan()?;
-            } else {
-                self.append(batch)?;
+            if self.left > 0 {
+                self.append(request.selected, batch)?;
                 self.left -= 1;
+                return Ok(());
             }
+            self.next_scan()?;
         }
-        Ok(())
     }
 }

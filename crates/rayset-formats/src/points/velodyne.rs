@@ -1,12 +1,13 @@
 //! Scans of turning LiDARs as KITTI and nuScenes have them: records of four or five floats (x, y,
 //! z, intensity, and the number of the laser), and nothing else.
 
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
+use super::file_source::{FileSource, RecordReader, Request, unreadable};
 use super::plain::Plain;
-use super::{ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, PointSource, ReadError, Schema};
+use super::{ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, ReadError, Schema};
+use rayset_base::geometry::DVec3;
 use rayset_store::storage::Storage;
 use rayset_store::storage::input_file::InputFile;
 
@@ -20,24 +21,19 @@ const FARTHEST: f64 = 1000.0;
 const NAMES: [&str; 2] = ["intensity", "ring"];
 
 /// The points of a scan.
-pub(super) struct VelodyneSource {
-    path: PathBuf,
+pub(super) struct VelodyneReader {
     file: Arc<dyn Storage>,
     table: Plain,
-    rows: u64,
-    next: u64,
-    schema: Schema,
-    selected: Vec<usize>,
     bytes: Vec<u8>,
 }
 
-impl VelodyneSource {
+impl VelodyneReader {
     /// Opens a file.
     ///
     /// # Errors
     /// [`ReadError`] if it cannot be read, or neither its size nor its first records are those of a
     /// scan.
-    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let file = InputFile::open(path).map_err(io)?;
         let length = file.length().map_err(io)?;
@@ -54,9 +50,8 @@ impl VelodyneSource {
                 let columns = NAMES[..width - 3].iter().map(|name| ColumnInfo::new(*name, ColumnType::F32));
                 let mut schema = Schema::new(columns.collect(), ColorDepth::Guess);
                 schema.description = format!("LiDAR scan of {width} floats a point, as of KITTI");
-                schema.up = Some([0.0, 0.0, 1.0]);
-                let (path, selected, bytes) = (path.to_owned(), Vec::new(), Vec::new());
-                return Ok(Self { path, file, table, rows, next: 0, schema, selected, bytes });
+                schema.up = Some(DVec3::Z);
+                return Ok(FileSource::new(path, schema, Some(rows), Self { file, table, bytes }));
             }
         }
         let what = format!(
@@ -82,44 +77,19 @@ fn is_scan(table: &Plain, bytes: &[u8]) -> bool {
     (0..rows).all(of_scan) && (apart > rows / 2 || rows == 1)
 }
 
-impl PointSource for VelodyneSource {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.rows)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(&self.path)
-    }
-
+impl RecordReader for VelodyneReader {
     fn memory_needed(&self) -> u64 {
         self.table.bytes(ROWS)
     }
 
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
-    }
-
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
-        while batch.len() < limit && self.next < self.rows {
-            let count = (self.rows - self.next).min(ROWS).min((limit - batch.len()) as u64) as usize;
-            self.table.load(&*self.file, self.next, count, &mut self.bytes).map_err(|source| {
-                if source.kind() == io::ErrorKind::UnexpectedEof {
-                    let at = Place::Byte(self.table.bytes(self.next));
-                    return ReadError::malformed(&self.path, at, "the file has become shorter");
-                }
-                ReadError::Io { path: self.path.clone(), source }
-            })?;
-            let of_row = |row| [0, 1, 2].map(|axis| self.table.get(&self.bytes, row, axis));
-            batch.position.extend((0..count).map(of_row));
-            for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
-                self.table.append(&self.bytes, 3 + index, column);
-            }
-            self.next += count as u64;
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        let count = request.most.min(ROWS as usize);
+        let read = self.table.load(&*self.file, request.first, count, &mut self.bytes);
+        read.map_err(|e| unreadable(request.path(), self.table.bytes(request.first), e))?;
+        let of_row = |row| [0, 1, 2].map(|axis| self.table.get(&self.bytes, row, axis));
+        batch.position.extend((0..count).map(of_row));
+        for (column, &index) in batch.columns.iter_mut().zip(request.selected) {
+            self.table.append(&self.bytes, 3 + index, column);
         }
         Ok(())
     }

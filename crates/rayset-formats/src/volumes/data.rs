@@ -7,7 +7,7 @@ use std::path::Path;
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 
 use rayset_base::regular_file;
-use rayset_files::grid::{ReadError, Voxels, what_of};
+use rayset_files::grid::{VolumeError, Voxels, what_of};
 use rayset_store::storage::input_file::{InputFile, Named, look};
 
 /// Upper bound on the compression ratio of Deflate, which needs at least 2 bits to encode at most
@@ -49,12 +49,12 @@ pub(super) struct VoxelSpan<'a> {
 }
 
 impl VoxelSpan<'_> {
-    fn wrong(&self, offset: u64, what: String) -> ReadError {
-        ReadError::Data { path: self.path.to_owned(), offset, what }
+    fn wrong(&self, offset: u64, what: String) -> VolumeError {
+        VolumeError::Data { path: self.path.to_owned(), offset, what }
     }
 
     /// Opens uncompressed voxels.
-    pub(super) fn plain(self) -> Result<Voxels, ReadError> {
+    pub(super) fn plain(self) -> Result<Voxels, VolumeError> {
         let length = regular_file_bytes(self.path)?;
         let Self { start, bytes, .. } = self;
         let end = start.saturating_add(bytes).saturating_add(self.rest.unwrap_or(0));
@@ -82,10 +82,10 @@ impl VoxelSpan<'_> {
         compression: Compression,
         limit: Option<u64>,
         begin: Begin,
-    ) -> Result<Voxels, ReadError> {
+    ) -> Result<Voxels, VolumeError> {
         let length = regular_file_bytes(self.path)?.saturating_sub(self.start);
         let limit = limit.unwrap_or(u64::MAX);
-        let open = || -> Result<Box<dyn Read + Send>, ReadError> {
+        let open = || -> Result<Box<dyn Read + Send>, VolumeError> {
             let file = data_at(self.path, self.start)?.take(limit);
             Ok(match compression {
                 Compression::Gzip => Box::new(MultiGzDecoder::new(file)),
@@ -128,20 +128,20 @@ impl VoxelSpan<'_> {
     }
 }
 
-pub(super) fn io_error(path: &Path) -> impl Fn(io::Error) -> ReadError {
-    move |source| ReadError::Io { path: path.to_owned(), source }
+pub(super) fn io_error(path: &Path) -> impl Fn(io::Error) -> VolumeError {
+    move |source| VolumeError::Io { path: path.to_owned(), source }
 }
 
 /// The length in bytes of a regular file; an error for a pipe, a device or a folder.
-pub(super) fn regular_file_bytes(path: &Path) -> Result<u64, ReadError> {
+pub(super) fn regular_file_bytes(path: &Path) -> Result<u64, VolumeError> {
     match look(path).map_err(io_error(path))? {
         Named::File(bytes) => Ok(bytes),
-        _ => Err(ReadError::NotRegular { path: path.to_owned() }),
+        _ => Err(VolumeError::NotRegular { path: path.to_owned() }),
     }
 }
 
 /// A buffered reader that starts at a byte of a file.
-pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<InputFile>, ReadError> {
+pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<InputFile>, VolumeError> {
     // Checked before it is opened: opening a pipe waits for its other end.
     regular_file_bytes(path)?;
     let mut file = InputFile::open(path).map_err(io_error(path))?;
@@ -151,7 +151,7 @@ pub(super) fn data_at(path: &Path, offset: u64) -> Result<BufReader<InputFile>, 
 
 /// The number of bytes in the `lines` lines that begin at byte `start`, including their ends.
 /// `None` if there are fewer lines.
-pub(super) fn skip_lines(path: &Path, start: u64, lines: u64) -> Result<Option<u64>, ReadError> {
+pub(super) fn skip_lines(path: &Path, start: u64, lines: u64) -> Result<Option<u64>, VolumeError> {
     let mut file = data_at(path, start)?;
     let (mut left, mut bytes) = (lines, 0);
     while left > 0 {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::data::{data_at, io_error, regular_file_bytes};
 use rayset_base::regular_file::held;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_store::storage::input_file::InputFile;
 
 /// Longest header in bytes. This bounds the memory for a file without line ends.
@@ -24,7 +24,7 @@ pub(super) struct Lines {
 }
 
 impl Lines {
-    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path) -> Result<Self, VolumeError> {
         Ok(Self {
             file: data_at(path, 0)?,
             path: path.to_owned(),
@@ -35,7 +35,7 @@ impl Lines {
     }
 
     /// The next line without its line end (`\n` or `\r\n`). `None` at the end of the file.
-    pub(super) fn next(&mut self) -> Result<Option<String>, ReadError> {
+    pub(super) fn next(&mut self) -> Result<Option<String>, VolumeError> {
         self.number += 1;
         let room = self.room;
         let mut line = Vec::new();
@@ -46,7 +46,7 @@ impl Lines {
         if read == room {
             let place = format!("line {}", self.number);
             let what = format!("the header goes on beyond {MOST_HEADER_BYTES} bytes; is this such a file?");
-            return Err(ReadError::Header { path: self.path.clone(), place, what });
+            return Err(VolumeError::Header { path: self.path.clone(), place, what });
         }
         // Comments and names may be in any encoding; keys and numbers are ASCII.
         let text = String::from_utf8_lossy(&line);
@@ -54,7 +54,7 @@ impl Lines {
     }
 
     /// Goes on behind this number of bytes, which are no lines. False if the file ends before.
-    pub(super) fn skip_bytes(&mut self, bytes: u64) -> Result<bool, ReadError> {
+    pub(super) fn skip_bytes(&mut self, bytes: u64) -> Result<bool, VolumeError> {
         let end = self.bytes.saturating_add(bytes);
         if end > regular_file_bytes(&self.path)? {
             return Ok(false);
@@ -66,7 +66,7 @@ impl Lines {
 
     /// Goes on behind this number of words between white space, which are no lines. False if the
     /// file ends before.
-    pub(super) fn skip_words(&mut self, words: u64) -> Result<bool, ReadError> {
+    pub(super) fn skip_words(&mut self, words: u64) -> Result<bool, VolumeError> {
         let (mut left, mut within) = (words, false);
         while left > 0 {
             let held = held(&mut self.file).map_err(io_error(&self.path))?;

@@ -10,7 +10,7 @@ use super::data::io_error;
 use super::refused::{refused, refused_by_content};
 use super::series::Series;
 use super::{dx, legacy_vtk, meta, nifti, npy, nrrd, slc, vdb, vti};
-use rayset_files::grid::{ReadError, VolumeSource};
+use rayset_files::grid::{VolumeError, VolumeSource};
 use rayset_store::storage::input_file::{InputFile, Named, look};
 
 /// Bytes from the start of a file by which its format is recognized.
@@ -25,10 +25,10 @@ struct Format {
     /// Whether a file that begins with these bytes, [`HEAD_BYTES`] or all that there are, is of
     /// this format, whatever its name. The bytes of a compressed file are those of what is
     /// compressed. Where the beginning says too little, more of the file is read.
-    begins: fn(&[u8], &Path) -> Result<bool, ReadError>,
+    begins: fn(&[u8], &Path) -> Result<bool, VolumeError>,
     /// Whether a file may be compressed by gzip as a whole.
     zipped: bool,
-    open: fn(&Path, Option<u64>) -> Result<VolumeSource, ReadError>,
+    open: fn(&Path, Option<u64>) -> Result<VolumeSource, VolumeError>,
 }
 
 /// In this order: the first that recognizes the beginning of a file reads it.
@@ -106,8 +106,8 @@ const VTI_TYPES: [&[u8]; 4] = [
 fn alone(
     path: &Path,
     index: Option<u64>,
-    open: fn(&Path) -> Result<VolumeSource, ReadError>,
-) -> Result<VolumeSource, ReadError> {
+    open: fn(&Path) -> Result<VolumeSource, VolumeError>,
+) -> Result<VolumeSource, VolumeError> {
     Series::new(path, 1, index)?;
     open(path)
 }
@@ -120,7 +120,7 @@ enum Kind {
     Unknown,
 }
 
-fn kind_of(path: &Path) -> Result<Kind, ReadError> {
+fn kind_of(path: &Path) -> Result<Kind, VolumeError> {
     let (head, zipped) = head(path).map_err(io_error(path))?;
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let is_named = |extensions: &[&str]| extensions.iter().any(|e| name.ends_with(&format!(".{e}")));
@@ -154,8 +154,8 @@ pub fn extensions() -> impl Iterator<Item = &'static str> {
 /// its name.
 ///
 /// # Errors
-/// [`ReadError::Io`] if the operating system refuses to read it.
-pub fn is_volume(path: &Path) -> Result<bool, ReadError> {
+/// [`VolumeError::Io`] if the operating system refuses to read it.
+pub fn is_volume(path: &Path) -> Result<bool, VolumeError> {
     Ok(!matches!(kind_of(path)?, Kind::Unknown))
 }
 
@@ -164,11 +164,11 @@ pub fn is_volume(path: &Path) -> Result<bool, ReadError> {
 /// that of an index, counted from 0, or the first.
 ///
 /// # Errors
-/// [`ReadError`] if it cannot be opened, its header is invalid, it is too small for the voxels that
-/// its header promises, or has no volume of the index.
-pub fn open(path: impl AsRef<Path>, index: Option<u64>) -> Result<VolumeSource, ReadError> {
+/// [`VolumeError`] if it cannot be opened, its header is invalid, it is too small for the voxels
+/// that its header promises, or has no volume of the index.
+pub fn open(path: impl AsRef<Path>, index: Option<u64>) -> Result<VolumeSource, VolumeError> {
     let path = path.as_ref();
-    let refuse = |what: String| Err(ReadError::Format { path: path.to_owned(), what });
+    let refuse = |what: String| Err(VolumeError::Format { path: path.to_owned(), what });
     match kind_of(path)? {
         Kind::Read(format) => Ok((format.open)(path, index)?.with_header(path)),
         Kind::Refused(what) => refuse(what),

@@ -11,7 +11,7 @@ use super::rectilinear::{Coordinates, Even};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
 use rayset_base::text_numbers::{Behind, TextNumbers};
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 const FIRST_LINE: &str = "# vtk DataFile Version";
@@ -62,7 +62,7 @@ struct File<'a> {
     cells: Option<Array>,
 }
 
-pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path) -> Result<VolumeSource, VolumeError> {
     let mut file = File::open(path)?;
     while file.points.is_none() && file.next()? {}
     let (size, size_place) = file.size.clone().ok_or_else(|| file.wrong("DIMENSIONS: missing"))?;
@@ -89,7 +89,7 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     if array.count != count {
         let what =
             format!("{} voxels were expected from the dimensions, and the array has {}", count, array.count);
-        return Err(ReadError::header(path, &size_place, &what));
+        return Err(VolumeError::header(path, &size_place, &what));
     }
     let voxels = if file.text {
         text(path, array)?
@@ -99,30 +99,30 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
     Ok(VolumeSource::new(&described, bytes, voxels))
 }
 
-fn text(path: &Path, array: &Array) -> Result<Voxels, ReadError> {
+fn text(path: &Path, array: &Array) -> Result<Voxels, VolumeError> {
     let left = regular_file_bytes(path)?.saturating_sub(array.at);
     // At least one digit each, and one separator between two numbers.
     if array.count > left / 2 + 1 {
         let what =
             format!("the file ends before all voxels are there: {left} bytes for {} numbers", array.count);
-        return Err(ReadError::Data { path: path.to_owned(), offset: 0, what });
+        return Err(VolumeError::Data { path: path.to_owned(), offset: 0, what });
     }
     let data = TextNumbers::new(data_at(path, array.at)?, array.stored, array.count, Behind::Anything);
     Ok(Voxels { path: path.to_owned(), data: Box::new(data), rest: None })
 }
 
 impl<'a> File<'a> {
-    fn open(path: &'a Path) -> Result<Self, ReadError> {
+    fn open(path: &'a Path) -> Result<Self, VolumeError> {
         let mut lines = Lines::open(path)?;
         let first = lines.next()?.unwrap_or_default();
         if !first.starts_with(FIRST_LINE) {
-            return Err(ReadError::header(path, "line 1", &format!("expected `{FIRST_LINE}`")));
+            return Err(VolumeError::header(path, "line 1", &format!("expected `{FIRST_LINE}`")));
         }
         lines.next()?;
         let text = match lines.next()?.unwrap_or_default().trim().to_ascii_uppercase().as_str() {
             "ASCII" => true,
             "BINARY" => false,
-            _ => return Err(ReadError::header(path, "line 3", "expected ASCII or BINARY")),
+            _ => return Err(VolumeError::header(path, "line 3", "expected ASCII or BINARY")),
         };
         Ok(Self {
             path,
@@ -138,12 +138,12 @@ impl<'a> File<'a> {
         })
     }
 
-    fn wrong(&self, what: &str) -> ReadError {
-        ReadError::header(self.path, &self.lines.place(""), what)
+    fn wrong(&self, what: &str) -> VolumeError {
+        VolumeError::header(self.path, &self.lines.place(""), what)
     }
 
     /// Reads a line and what belongs to it; false at the end of the file.
-    fn next(&mut self) -> Result<bool, ReadError> {
+    fn next(&mut self) -> Result<bool, VolumeError> {
         let Some(line) = self.lines.next()? else { return Ok(false) };
         let (key, rest) = line.trim().split_once(char::is_whitespace).unwrap_or((line.trim(), ""));
         let three = |what: &str| {
@@ -193,7 +193,7 @@ impl<'a> File<'a> {
         Ok(true)
     }
 
-    fn dataset(&self, kind: &str) -> Result<(), ReadError> {
+    fn dataset(&self, kind: &str) -> Result<(), VolumeError> {
         let kind = kind.trim().to_ascii_uppercase();
         if [REGULAR, RECTILINEAR].contains(&kind.as_str()) {
             return Ok(());
@@ -206,7 +206,7 @@ impl<'a> File<'a> {
     }
 
     /// Reads the coordinates of the points along an axis.
-    fn coordinates(&mut self, axis: usize, words: &[&str]) -> Result<(), ReadError> {
+    fn coordinates(&mut self, axis: usize, words: &[&str]) -> Result<(), VolumeError> {
         let count = words.first().and_then(|word| word.parse::<u64>().ok());
         let kind = words.get(1).map(|kind| kind.to_ascii_lowercase()).unwrap_or_default();
         let (Some(count), Some(stored)) = (count, stored(&kind)) else {
@@ -224,16 +224,16 @@ impl<'a> File<'a> {
         let coordinates = Coordinates { axis, stored, big_endian: !is_text, count };
         // The file is checked to have all numbers before they are read.
         self.skip(count, count.saturating_mul(stored.bytes() as u64))?;
-        let open = || -> Result<Box<dyn Read + Send>, ReadError> {
+        let open = || -> Result<Box<dyn Read + Send>, VolumeError> {
             if is_text { Ok(text(path, &array)?.data) } else { Ok(Box::new(data_at(path, array.at)?)) }
         };
         let read = coordinates.read(&mut self.even, open)?;
-        read.map_err(|what| ReadError::header(path, &place, &what))?;
+        read.map_err(|what| VolumeError::header(path, &place, &what))?;
         self.axes_place = place;
         Ok(())
     }
 
-    fn scalars(&mut self, words: &[&str]) -> Result<(), ReadError> {
+    fn scalars(&mut self, words: &[&str]) -> Result<(), VolumeError> {
         let components = words.get(2).map_or(Some(1), |word| word.parse().ok());
         let components = components.ok_or_else(|| self.wrong("expected a number of components"))?;
         let table = self.lines.next()?.unwrap_or_default();
@@ -243,7 +243,7 @@ impl<'a> File<'a> {
         self.array(words.get(1), components, self.tuples)
     }
 
-    fn array_of_field(&mut self) -> Result<(), ReadError> {
+    fn array_of_field(&mut self) -> Result<(), VolumeError> {
         let line = loop {
             let line = self.lines.next()?.ok_or_else(|| self.wrong("the file ends within a FIELD"))?;
             match line.trim() {
@@ -265,7 +265,7 @@ impl<'a> File<'a> {
 
     /// Notes an array that begins here, if it is the first of one number for each point or cell,
     /// and goes on behind it.
-    fn array(&mut self, kind: Option<&&str>, components: u64, tuples: u64) -> Result<(), ReadError> {
+    fn array(&mut self, kind: Option<&&str>, components: u64, tuples: u64) -> Result<(), VolumeError> {
         let kind = kind.map(|kind| kind.to_ascii_lowercase()).unwrap_or_default();
         let count = components.checked_mul(tuples);
         let count = count.ok_or_else(|| self.wrong("an array of more numbers than any file holds"))?;
@@ -287,7 +287,7 @@ impl<'a> File<'a> {
     }
 
     /// Skips an array that is not of numbers: of bits, or of texts, which are a line each.
-    fn skip_other(&mut self, kind: &str, tuples: u64, count: u64) -> Result<(), ReadError> {
+    fn skip_other(&mut self, kind: &str, tuples: u64, count: u64) -> Result<(), VolumeError> {
         match kind {
             "bit" => self.skip(count, count.div_ceil(8)),
             "string" if self.text => {
@@ -300,14 +300,14 @@ impl<'a> File<'a> {
         }
     }
 
-    fn colors(&mut self, components: Option<u64>, tuples: u64) -> Result<(), ReadError> {
+    fn colors(&mut self, components: Option<u64>, tuples: u64) -> Result<(), VolumeError> {
         let count = components.and_then(|n| n.checked_mul(tuples));
         let count = count.ok_or_else(|| self.wrong("expected a number of components"))?;
         self.skip(count, count)
     }
 
     /// Goes on behind numbers, which are words of text, or so many bytes.
-    fn skip(&mut self, words: u64, bytes: u64) -> Result<(), ReadError> {
+    fn skip(&mut self, words: u64, bytes: u64) -> Result<(), VolumeError> {
         let whole = if self.text { self.lines.skip_words(words)? } else { self.lines.skip_bytes(bytes)? };
         if whole { Ok(()) } else { Err(self.wrong("the file ends within an array")) }
     }

@@ -16,7 +16,7 @@ use super::orientation::Orientation;
 use super::series::Series;
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 /// Most dimensions of a file.
@@ -44,30 +44,30 @@ struct Header {
     orientation: Orientation,
 }
 
-pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, VolumeError> {
     let mut lines = Lines::open(path)?;
     let mut header = Header { dimensions: 3, axes_place: "ElementSpacing".into(), ..Header::default() };
     let name = loop {
         let Some(line) = lines.next()? else {
             let what = "the header ends without ElementDataFile; is this a MetaImage?";
-            return Err(ReadError::header(path, &lines.place(""), what));
+            return Err(VolumeError::header(path, &lines.place(""), what));
         };
         let Some((key, value)) = line.split_once('=').map(|(key, value)| (key.trim(), value.trim())) else {
-            return Err(ReadError::header(path, &lines.place(""), "expected `Key = value`"));
+            return Err(VolumeError::header(path, &lines.place(""), "expected `Key = value`"));
         };
         if key == "ElementDataFile" {
             break value.to_owned();
         }
         let place = lines.place(key);
-        header.take(key, value, &place).map_err(|what| ReadError::header(path, &place, what))?;
+        header.take(key, value, &place).map_err(|what| VolumeError::header(path, &place, what))?;
     };
     if name.is_empty() || name.starts_with("LIST") || name.contains('%') {
         let what = "expected LOCAL or the name of one file; volumes in several files are not read";
-        return Err(ReadError::header(path, &lines.place("ElementDataFile"), what));
+        return Err(VolumeError::header(path, &lines.place("ElementDataFile"), what));
     }
     let described = header.described(path)?;
     let bytes = described.check(path)?;
-    let too_long = || ReadError::header(path, &described.size_place, "a series longer than any file");
+    let too_long = || VolumeError::header(path, &described.size_place, "a series longer than any file");
     let series = Series::new(path, header.volumes().ok_or_else(too_long)?, index)?;
     let all = series.bytes(bytes).ok_or_else(too_long)?;
     let voxels = if name.eq_ignore_ascii_case("local") {
@@ -155,8 +155,8 @@ impl Header {
         sizes[3..].iter().try_fold(1_u64, |all, n| all.checked_mul(*n))
     }
 
-    fn described(&self, path: &Path) -> Result<Described, ReadError> {
-        let missing = |key: &str| ReadError::header(path, key, "missing");
+    fn described(&self, path: &Path) -> Result<Described, VolumeError> {
+        let missing = |key: &str| VolumeError::header(path, key, "missing");
         let (sizes, size_place) = self.size.as_ref().ok_or_else(|| missing("DimSize"))?;
         let size = [sizes[0], sizes[1], sizes[2]];
         let spacing = DVec3::from_array(self.spacing.or(self.element_size).unwrap_or([1.0; 3]));
@@ -174,14 +174,14 @@ impl Header {
     }
 
     /// Opens the voxels in a file whose first `least` bytes are the header.
-    fn voxels(&self, path: &Path, least: u64, bytes: u64, rest: Option<u64>) -> Result<Voxels, ReadError> {
+    fn voxels(&self, path: &Path, least: u64, bytes: u64, rest: Option<u64>) -> Result<Voxels, VolumeError> {
         let (skip, place) = self.skip.clone().unwrap_or_default();
         let start = match u64::try_from(skip) {
             Ok(0) => least,
             Ok(skip) if skip >= least => skip,
-            Ok(_) => return Err(ReadError::header(path, &place, "the voxels begin in the header")),
+            Ok(_) => return Err(VolumeError::header(path, &place, "the voxels begin in the header")),
             Err(_) if self.compressed => {
-                return Err(ReadError::header(path, &place, "-1 is for voxels that are not compressed"));
+                return Err(VolumeError::header(path, &place, "-1 is for voxels that are not compressed"));
             }
             // If the file is too short, the error is reported for the earliest place at which the
             // voxels could begin.

@@ -16,7 +16,7 @@ use super::orientation::Orientation;
 use super::series::Series;
 use rayset_base::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use rayset_base::numbers::Stored;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::labels::NamedLabels;
 use rayset_files::grid::{Described, VolumeSource};
 
@@ -63,7 +63,7 @@ impl Fields<'_> {
     }
 
     /// `N` consecutive numbers, all of which must be finite.
-    fn finite<const N: usize>(&self, at: usize, name: &str) -> Result<[f64; N], ReadError> {
+    fn finite<const N: usize>(&self, at: usize, name: &str) -> Result<[f64; N], VolumeError> {
         let all = std::array::from_fn(|i| self.f32(at + 4 * i));
         match all.iter().position(|v| !v.is_finite()) {
             None => Ok(all),
@@ -71,13 +71,13 @@ impl Fields<'_> {
         }
     }
 
-    fn wrong(&self, byte: usize, name: &str, what: &str) -> ReadError {
+    fn wrong(&self, byte: usize, name: &str, what: &str) -> VolumeError {
         let place = if name.is_empty() { format!("byte {byte}") } else { format!("byte {byte}, {name}") };
-        ReadError::header(self.path, &place, what)
+        VolumeError::header(self.path, &place, what)
     }
 }
 
-pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, VolumeError> {
     let zipped = super::data::is_gzip(path);
     let fields = fields(path, zipped)?;
     let (size, volumes) = size(&fields)?;
@@ -159,7 +159,7 @@ fn labels(fields: &Fields<'_>, zipped: bool, begin: u64) -> NamedLabels {
     labels
 }
 
-fn fields(path: &Path, zipped: bool) -> Result<Fields<'_>, ReadError> {
+fn fields(path: &Path, zipped: bool) -> Result<Fields<'_>, VolumeError> {
     let file = data_at(path, 0)?;
     let mut data: Box<dyn Read> = if zipped { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) };
     let mut bytes = [0; HEADER_BYTES];
@@ -170,7 +170,7 @@ fn fields(path: &Path, zipped: bool) -> Result<Fields<'_>, ReadError> {
         } else {
             format!("the header of 348 bytes cannot be read: {error}")
         };
-        ReadError::header(path, "byte 0", &what)
+        VolumeError::header(path, "byte 0", &what)
     })?;
     let little = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) == HEADER_BYTES as i32;
     let fields = Fields { path, bytes, big_endian: !little };
@@ -181,7 +181,7 @@ fn fields(path: &Path, zipped: bool) -> Result<Fields<'_>, ReadError> {
 }
 
 /// The number of voxels along each axis, and the number of volumes.
-fn size(fields: &Fields<'_>) -> Result<([u64; 3], u64), ReadError> {
+fn size(fields: &Fields<'_>) -> Result<([u64; 3], u64), VolumeError> {
     let dimensions = fields.i16(DIM);
     if !(3..=7).contains(&dimensions) {
         let what = "only volumes of three dimensions, or series of them, are read";
@@ -198,7 +198,7 @@ fn size(fields: &Fields<'_>) -> Result<([u64; 3], u64), ReadError> {
 }
 
 /// The transform from voxels to space, and its place in the header.
-fn place(fields: &Fields<'_>) -> Result<(DAffine3, &'static str), ReadError> {
+fn place(fields: &Fields<'_>) -> Result<(DAffine3, &'static str), VolumeError> {
     if fields.i16(SFORM_CODE) > 0 {
         let all: [f64; 12] = fields.finite(SROW, "srow")?;
         let column = |c: usize| DVec3::new(all[c], all[4 + c], all[8 + c]);

@@ -14,7 +14,7 @@ use super::series::Series;
 use crate::array_file::{Array, Fault, Header, MAGIC, Member, is_archive, text_place};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::{Described, VolumeSource, Voxels};
 use rayset_store::storage::is_of_reading;
 
@@ -23,15 +23,15 @@ const USUAL_NAMES: [&str; 9] = ["volume", "data", "vol", "image", "img", "densit
 const SPACINGS: [&str; 2] = ["spacing", "sampling"];
 const ORIGIN: &str = "origin";
 
-fn of_fault(path: &Path) -> impl Fn(Fault) -> ReadError {
+fn of_fault(path: &Path) -> impl Fn(Fault) -> VolumeError {
     move |fault| match fault {
         Fault::Io(source) => io_error(path)(source),
-        Fault::Wrong { at, what } => ReadError::header(path, &format!("byte {at}"), &what),
+        Fault::Wrong { at, what } => VolumeError::header(path, &format!("byte {at}"), &what),
     }
 }
 
 /// Whether a file is an array of numbers of three dimensions, or an archive that has one.
-pub(super) fn is_volume(head: &[u8], path: &Path) -> Result<bool, ReadError> {
+pub(super) fn is_volume(head: &[u8], path: &Path) -> Result<bool, VolumeError> {
     if is_archive(head) {
         return match Array::all(path) {
             Ok(arrays) => Ok(has_volume(&arrays)),
@@ -110,8 +110,8 @@ impl Axes {
         path: &Path,
         header: &Header,
         index: Option<u64>,
-    ) -> Result<(Series, Series), ReadError> {
-        let too_long = || ReadError::header(path, "its header", "a series longer than any file");
+    ) -> Result<(Series, Series), VolumeError> {
+        let too_long = || VolumeError::header(path, "its header", "a series longer than any file");
         let volumes = self.series.iter().try_fold(1_u64, |all, n| all.checked_mul(*n));
         let said = Series::new(path, volumes.ok_or_else(too_long)?, index)?;
         let (mut place, mut left, mut stride) = (0, said.index, said.volumes);
@@ -124,7 +124,7 @@ impl Axes {
     }
 }
 
-pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, VolumeError> {
     let mut magic = Vec::new();
     data_at(path, 0)?.take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(io_error(path))?;
     if is_archive(&magic) {
@@ -144,10 +144,10 @@ fn volume(
     place: &str,
     [spacing, origin]: [[f64; 3]; 2],
     index: Option<u64>,
-    voxels: impl FnOnce(u64) -> Result<Voxels, ReadError>,
-) -> Result<VolumeSource, ReadError> {
+    voxels: impl FnOnce(u64) -> Result<Voxels, VolumeError>,
+) -> Result<VolumeSource, VolumeError> {
     let header = &array.header;
-    let wrong = |what: &str| ReadError::header(path, place, what);
+    let wrong = |what: &str| VolumeError::header(path, place, what);
     let described = described(header, place, spacing, origin).map_err(|what| wrong(&what))?;
     let bytes = described.check(path)?;
     let (said, series) = match axes(header) {
@@ -163,7 +163,7 @@ fn volume(
     Ok(said.said_by(VolumeSource::new(&described, bytes, voxels)))
 }
 
-fn open_archive(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
+fn open_archive(path: &Path, index: Option<u64>) -> Result<VolumeSource, VolumeError> {
     let arrays = Array::all(path).map_err(of_fault(path))?;
     let mut volumes: Vec<&Array> = arrays.iter().filter(|array| is_volume_array(&array.header)).collect();
     if volumes.iter().any(|array| !is_series(&array.header)) {
@@ -180,7 +180,7 @@ fn open_archive(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadErr
             USUAL_NAMES.join(", "),
             names.join(", ")
         );
-        ReadError::header(path, "its arrays", &what)
+        VolumeError::header(path, "its arrays", &what)
     })?;
     let (member, header) = (&array.member, &array.header);
     let place = format!("array `{}`", member.name);
@@ -195,7 +195,7 @@ fn open_archive(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadErr
                 "it has {} bytes, and {all} were expected from its shape",
                 member.bytes - header.bytes.min(member.bytes)
             );
-            return Err(ReadError::header(path, &place, &what));
+            return Err(VolumeError::header(path, &place, &what));
         }
         let data = member.open(path, header.bytes).map_err(io_error(path))?;
         Ok(Voxels { path: path.to_owned(), data, rest: Some(0) })
@@ -211,9 +211,9 @@ fn open_archive(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadErr
 }
 
 /// Reads an array of three numbers.
-fn three(path: &Path, array: &Array) -> Result<[f64; 3], ReadError> {
+fn three(path: &Path, array: &Array) -> Result<[f64; 3], VolumeError> {
     let (member, header) = (&array.member, &array.header);
-    let wrong = |what: &str| ReadError::header(path, &format!("array `{}`", member.name), what);
+    let wrong = |what: &str| VolumeError::header(path, &format!("array `{}`", member.name), what);
     let types = stored(header).filter(|_| header.shape == [3]);
     let (stored, big_endian) = types.ok_or_else(|| wrong("expected three numbers"))?;
     let mut data = member.open(path, header.bytes).map_err(io_error(path))?;

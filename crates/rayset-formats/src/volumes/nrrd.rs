@@ -19,7 +19,7 @@ use super::segments::Segments;
 use super::series::Series;
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 #[derive(Default)]
@@ -42,12 +42,12 @@ struct Header {
     segments: Segments,
 }
 
-pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, VolumeError> {
     let mut lines = Lines::open(path)?;
     let mut header = Header::default();
     if !lines.next()?.is_some_and(|first| first.starts_with("NRRD000")) {
         let what = "this is not NRRD: a file begins with NRRD000 and its version";
-        return Err(ReadError::header(path, "line 1", what));
+        return Err(VolumeError::header(path, "line 1", what));
     }
     while let Some(text) = lines.next()? {
         let text = text.trim_end();
@@ -63,24 +63,24 @@ pub(super) fn open(path: &Path, index: Option<u64>) -> Result<VolumeSource, Read
         }
         let (key, value) = text
             .split_once(':')
-            .ok_or_else(|| ReadError::header(path, &lines.place(""), "expected `key: value`"))?;
+            .ok_or_else(|| VolumeError::header(path, &lines.place(""), "expected `key: value`"))?;
         let place = lines.place(key.trim());
         header
             .take(key.trim(), value.trim(), &place)
-            .map_err(|what| ReadError::header(path, &place, what))?;
+            .map_err(|what| VolumeError::header(path, &place, what))?;
     }
     let described = header.described(path)?;
     let bytes = described.check(path)?;
     let axis = header.series_axis();
     let volumes = axis.and_then(|axis| header.sizes.as_ref()?.get(axis).copied()).unwrap_or(1);
     let series = Series::new(path, volumes, index)?;
-    let too_long = || ReadError::header(path, &header.place("sizes"), "a series longer than any file");
+    let too_long = || VolumeError::header(path, &header.place("sizes"), "a series longer than any file");
     let all = series.bytes(bytes).ok_or_else(too_long)?;
     let voxels = header.voxels(path, lines.bytes, all)?;
     let voxels = match axis {
         Some(0) => series
             .interleaved(voxels, bytes, described.stored.bytes())
-            .map_err(|what| ReadError::header(path, &header.place("sizes"), &what))?,
+            .map_err(|what| VolumeError::header(path, &header.place("sizes"), &what))?,
         Some(3) => series.in_sequence(voxels, bytes)?,
         _ => voxels,
     };
@@ -94,14 +94,14 @@ impl Header {
         self.keys.iter().find(|(key, _)| *key == wanted).map_or_else(|| wanted.into(), |(_, at)| at.clone())
     }
 
-    fn described(&self, path: &Path) -> Result<Described, ReadError> {
+    fn described(&self, path: &Path) -> Result<Described, VolumeError> {
         let missing =
-            |key: &str, what: &str| ReadError::header(path, key, &format!("missing; expected {what}"));
+            |key: &str, what: &str| VolumeError::header(path, key, &format!("missing; expected {what}"));
         let sizes = self.sizes.clone().ok_or_else(|| missing("sizes", "three numbers of voxels"))?;
         let axis = self.series_axis();
         if let Some(1 | 2) = axis {
             let what = "the axis of the series is between those of space; only the first or the last is read";
-            return Err(ReadError::header(path, &self.place("sizes"), what));
+            return Err(VolumeError::header(path, &self.place("sizes"), what));
         }
         let of_space = |place: &usize| Some(*place) != axis;
         let in_space: Vec<u64> = (0..sizes.len()).filter(of_space).map(|place| sizes[place]).collect();
@@ -123,7 +123,7 @@ impl Header {
                     places.map(|place| spacings[place]).collect::<Vec<_>>().try_into().ok();
                 let spacing = spacing.filter(|spacing| spacing.iter().all(|v| v.is_finite()));
                 let wrong =
-                    || ReadError::header(path, &self.place("spacings"), "expected three finite numbers");
+                    || VolumeError::header(path, &self.place("spacings"), "expected three finite numbers");
                 (DMat3::from_diagonal(DVec3::from_array(spacing.ok_or_else(wrong)?)), "spacings")
             }
             (None, None) => (DMat3::IDENTITY, "space origin"),
@@ -150,8 +150,8 @@ impl Header {
         Some(without.or_else(kind).unwrap_or(3))
     }
 
-    fn voxels(&self, path: &Path, header_bytes: u64, bytes: u64) -> Result<Voxels, ReadError> {
-        let wrong = |key: &'static str, what: &str| ReadError::header(path, &self.place(key), what);
+    fn voxels(&self, path: &Path, header_bytes: u64, bytes: u64) -> Result<Voxels, VolumeError> {
+        let wrong = |key: &'static str, what: &str| VolumeError::header(path, &self.place(key), what);
         let compressed = match self.encoding.as_str() {
             "raw" => false,
             "gzip" | "gz" => true,

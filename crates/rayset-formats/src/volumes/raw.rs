@@ -7,7 +7,7 @@ use super::data::VoxelSpan;
 use rayset_base::geometry::{DAffine3, DVec3};
 use rayset_base::numbers::Stored;
 use rayset_base::parse::ParseError;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::{Described, VolumeSource};
 
 /// The layout of a raw file: `256x256x128,u16`, then optionally `be` or `le`, `skip=512` (bytes),
@@ -70,9 +70,9 @@ impl RawLayout {
     /// Opens a raw file of this layout, which contains nothing but voxels.
     ///
     /// # Errors
-    /// [`ReadError`] if it cannot be opened, the layout is invalid, or the file is shorter than it
-    /// requires.
-    pub fn open(&self, path: impl AsRef<Path>) -> Result<VolumeSource, ReadError> {
+    /// [`VolumeError`] if it cannot be opened, the layout is invalid, or the file is shorter than
+    /// it requires.
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<VolumeSource, VolumeError> {
         let path = path.as_ref();
         let described = Described {
             size: self.size,

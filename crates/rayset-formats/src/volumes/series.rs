@@ -4,7 +4,7 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use super::data::io_error;
-use rayset_files::grid::{ReadError, VolumeSource, Voxels};
+use rayset_files::grid::{VolumeError, VolumeSource, Voxels};
 
 /// The volumes of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,7 +20,7 @@ impl Series {
     ///
     /// # Errors
     /// If there are fewer.
-    pub(super) fn new(path: &Path, volumes: u64, index: Option<u64>) -> Result<Self, ReadError> {
+    pub(super) fn new(path: &Path, volumes: u64, index: Option<u64>) -> Result<Self, VolumeError> {
         let (volumes, index) = (volumes.max(1), index.unwrap_or(0));
         if index < volumes {
             return Ok(Self { volumes, index });
@@ -29,7 +29,7 @@ impl Series {
             1 => "the file has one volume, of index 0".to_owned(),
             _ => format!("the file has {volumes} volumes, of indices 0 to {}", volumes - 1),
         };
-        Err(ReadError::Format { path: path.to_owned(), what: format!("--volume-index {index}: {there}") })
+        Err(VolumeError::Format { path: path.to_owned(), what: format!("--volume-index {index}: {there}") })
     }
 
     /// The bytes of all volumes, of `bytes` each; `None` if no file has so many.
@@ -39,7 +39,7 @@ impl Series {
 
     /// Of `voxels`, those of all volumes one after another, those of the one that is read. `bytes`
     /// are those of a volume.
-    pub(super) fn in_sequence(self, voxels: Voxels, bytes: u64) -> Result<Voxels, ReadError> {
+    pub(super) fn in_sequence(self, voxels: Voxels, bytes: u64) -> Result<Voxels, VolumeError> {
         let Voxels { path, mut data, rest } = voxels;
         let before = bytes * self.index;
         let passed = io::copy(&mut (&mut data).take(before), &mut io::sink());

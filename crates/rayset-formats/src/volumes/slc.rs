@@ -10,7 +10,7 @@ use std::path::Path;
 use super::data::{VoxelSpan, data_at, regular_file_bytes};
 use rayset_base::geometry::{DAffine3, DVec3};
 use rayset_base::numbers::Stored;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 const MAGIC: &str = "11111";
@@ -37,8 +37,8 @@ pub(super) fn is_slc(head: &[u8]) -> bool {
         && words.all(|w| w.parse::<f64>().is_ok())
 }
 
-pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
-    let wrong = |what: &str| ReadError::header(path, "its header", what);
+pub(super) fn open(path: &Path) -> Result<VolumeSource, VolumeError> {
+    let wrong = |what: &str| VolumeError::header(path, "its header", what);
     let mut head = Vec::new();
     let mut file = data_at(path, 0)?.take(MOST_HEADER_BYTES);
     file.read_until(MARK, &mut head).map_err(super::data::io_error(path))?;
@@ -90,13 +90,13 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
 
 /// Opens slices that are run-length encoded; also returns by how many voxels each of them ends
 /// early.
-fn encoded(place: &VoxelSpan<'_>, size: [u64; 3]) -> Result<(Voxels, u64), ReadError> {
+fn encoded(place: &VoxelSpan<'_>, size: [u64; 3]) -> Result<(Voxels, u64), VolumeError> {
     let (path, bytes) = (place.path.to_owned(), place.bytes);
     let left = regular_file_bytes(&path)?.saturating_sub(place.start);
     if bytes / MOST_RATIO > left {
         let what =
             format!("the file ends before all voxels are there: {left} compressed bytes cannot hold {bytes}");
-        return Err(ReadError::Data { path, offset: 0, what });
+        return Err(VolumeError::Data { path, offset: 0, what });
     }
     let slice = size[0] * size[1];
     // The first slice says of all whether they end early. Where it is damaged, reading it says how.

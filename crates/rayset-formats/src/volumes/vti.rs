@@ -11,27 +11,27 @@ use super::rectilinear::{Coordinates, Even};
 use crate::vtk_xml::{self, DataArray, Document, Fault, Group, Opened, Piece, Tag, Words};
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 /// The elements of grids that are read.
 const IMAGE: &str = "ImageData";
 const RECTILINEAR: &str = "RectilinearGrid";
 
-fn of_fault(path: &Path) -> impl Fn(Fault) -> ReadError {
+fn of_fault(path: &Path) -> impl Fn(Fault) -> VolumeError {
     move |fault| match fault {
-        Fault::Io(source) => ReadError::Io { path: path.to_owned(), source },
-        Fault::Header { place, what } => ReadError::header(path, &place, &what),
-        Fault::Data(what) => ReadError::Data { path: path.to_owned(), offset: 0, what },
+        Fault::Io(source) => VolumeError::Io { path: path.to_owned(), source },
+        Fault::Header { place, what } => VolumeError::header(path, &place, &what),
+        Fault::Data(what) => VolumeError::Data { path: path.to_owned(), offset: 0, what },
     }
 }
 
 /// An error at an attribute of an element.
-fn wrong(path: &Path, tag: &Tag, attribute: &str, what: &str) -> ReadError {
+fn wrong(path: &Path, tag: &Tag, attribute: &str, what: &str) -> VolumeError {
     of_fault(path)(tag.wrong(attribute, what))
 }
 
-pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
+pub(super) fn open(path: &Path) -> Result<VolumeSource, VolumeError> {
     let file_bytes = regular_file_bytes(path)?;
     let document = vtk_xml::read(path).map_err(of_fault(path))?;
     let piece = only_piece(path, &document)?;
@@ -75,13 +75,13 @@ pub(super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
 }
 
 /// The piece of the image.
-fn only_piece<'d>(path: &Path, document: &'d Document) -> Result<&'d Piece, ReadError> {
+fn only_piece<'d>(path: &Path, document: &'d Document) -> Result<&'d Piece, VolumeError> {
     let is_read = |kind: &str| [IMAGE, RECTILINEAR].contains(&kind);
     if document.file.attribute("type").is_some_and(|kind| !is_read(kind)) {
         return Err(wrong(path, &document.file, "type", "only ImageData and RectilinearGrid are read"));
     }
     if !is_read(&document.data.name) {
-        return Err(ReadError::header(
+        return Err(VolumeError::header(
             path,
             IMAGE,
             "missing; only image data and rectilinear grids are read",
@@ -89,7 +89,7 @@ fn only_piece<'d>(path: &Path, document: &'d Document) -> Result<&'d Piece, Read
     }
     match document.pieces.as_slice() {
         [piece] => Ok(piece),
-        [] => Err(ReadError::header(path, "Piece", "missing; a volume has one piece")),
+        [] => Err(VolumeError::header(path, "Piece", "missing; a volume has one piece")),
         [_, second, ..] => {
             Err(wrong(path, &second.tag, "", "a second Piece; volumes in several are not read"))
         }
@@ -98,7 +98,7 @@ fn only_piece<'d>(path: &Path, document: &'d Document) -> Result<&'d Piece, Read
 
 /// The first and last point along each axis: of the whole extent, which the single piece must
 /// cover.
-fn extent(path: &Path, document: &Document, piece: &Piece) -> Result<[i64; 6], ReadError> {
+fn extent(path: &Path, document: &Document, piece: &Piece) -> Result<[i64; 6], VolumeError> {
     let six = |tag: &Tag, name| {
         let numbers = tag.attribute(name).and_then(parsed::<i64, 6>);
         numbers.ok_or_else(|| wrong(path, tag, name, "expected six whole numbers"))
@@ -115,7 +115,7 @@ fn extent(path: &Path, document: &Document, piece: &Piece) -> Result<[i64; 6], R
 
 /// The array named as the scalars, otherwise the first with one component; of the points, otherwise
 /// of the cells. Also returns whether it is an array of cells.
-fn wanted_array<'p>(path: &Path, piece: &'p Piece) -> Result<(&'p Tag, bool), ReadError> {
+fn wanted_array<'p>(path: &Path, piece: &'p Piece) -> Result<(&'p Tag, bool), VolumeError> {
     let single = |tag: &&Tag| tag.attribute("NumberOfComponents").is_none_or(|n| n.trim() == "1");
     let wanted = |group: &'p Group| {
         let named = group.scalars.as_deref();
@@ -137,7 +137,7 @@ fn wanted_array<'p>(path: &Path, piece: &'p Piece) -> Result<(&'p Tag, bool), Re
     Ok((tag, of_cells))
 }
 
-fn stored(path: &Path, tag: &Tag) -> Result<Stored, ReadError> {
+fn stored(path: &Path, tag: &Tag) -> Result<Stored, VolumeError> {
     Ok(match tag.attribute("type").unwrap_or_default() {
         "Int8" => Stored::I8,
         "UInt8" => Stored::U8,
@@ -153,7 +153,7 @@ fn stored(path: &Path, tag: &Tag) -> Result<Stored, ReadError> {
     })
 }
 
-fn place(path: &Path, image: &Tag, extent: &[i64; 6], of_cells: bool) -> Result<DAffine3, ReadError> {
+fn place(path: &Path, image: &Tag, extent: &[i64; 6], of_cells: bool) -> Result<DAffine3, VolumeError> {
     let three = |name, default| match image.attribute(name) {
         None => Ok(DVec3::splat(default)),
         Some(text) => numbers(text)
@@ -182,7 +182,7 @@ fn even(
     extent: &[i64; 6],
     file_bytes: u64,
     of_cells: bool,
-) -> Result<DAffine3, ReadError> {
+) -> Result<DAffine3, VolumeError> {
     let words = Words::of(&document.file).map_err(of_fault(path))?;
     let arrays = &piece.coordinates.arrays;
     if arrays.len() != 3 {
@@ -202,7 +202,7 @@ fn even(
         let open = || array.open(stored).map_err(of_fault(path));
         let is_text = matches!(open()?, Opened::Stream { is_text: true, .. });
         let big_endian = words.big_endian && !is_text;
-        let numbers = || -> Result<Box<dyn Read + Send>, ReadError> {
+        let numbers = || -> Result<Box<dyn Read + Send>, VolumeError> {
             Ok(match open()? {
                 Opened::Plain(start) => Box::new(data_at(path, start)?),
                 Opened::Stream { data, .. } => Box::new(BufReader::new(data)),

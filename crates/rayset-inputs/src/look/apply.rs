@@ -1,7 +1,7 @@
 //! A style in the place of what a look says: options override what was chosen.
 
 use anyhow::{Result, bail};
-use rayset::scene::{Colormap, OpacityRule};
+use rayset::scene::{NamedPalette, OpacityRule};
 use serde_json::{Value, json};
 
 use super::ranges::over_logarithm;
@@ -35,7 +35,7 @@ impl Input<'_> {
 
 /// Whether a colour, as a scene file writes it, is a map.
 fn is_map(color: &Value) -> bool {
-    color.is_array() || color.as_str().is_some_and(|name| name.parse::<Colormap>().is_ok())
+    color.is_array() || color.as_str().is_some_and(|name| name.parse::<NamedPalette>().is_ok())
 }
 
 impl Style {

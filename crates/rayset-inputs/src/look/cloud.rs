@@ -498,7 +498,7 @@ fn inside(statistics: &Statistics) -> f64 {
 
 /// Stops of the map `inferno`, as displayed.
 fn inferno_stops(count: usize) -> Vec<String> {
-    let map: Result<rayset::scene::Colormap, _> = "inferno".parse();
+    let map: Result<rayset::scene::NamedPalette, _> = "inferno".parse();
     (0..=count)
         .map(|i| {
             let at = i as f64 / count as f64;

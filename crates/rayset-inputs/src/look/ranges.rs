@@ -2,7 +2,7 @@
 //! logarithm.
 
 use anyhow::{Result, bail, ensure};
-use rayset::scene::{Colormap, Palette};
+use rayset::scene::{NamedPalette, Palette};
 use serde_json::{Value, json};
 
 use super::statistics::percentile;
@@ -62,7 +62,7 @@ pub(super) fn over_logarithm(color: &Value, (low, high): (f64, f64)) -> Result<V
 fn palette(color: &Value) -> Result<Palette> {
     let none = "--log: there is no colour map; add --colormap, and --color-by";
     if let Some(name) = color.as_str() {
-        return name.parse::<Colormap>().map(Palette::Named).map_err(|_| anyhow::anyhow!(none));
+        return name.parse::<NamedPalette>().map(Palette::Named).map_err(|_| anyhow::anyhow!(none));
     }
     let stop = |stop: &Value| {
         let at = stop[0].as_f64()?;
@@ -100,7 +100,7 @@ mod tests {
         let (low, high) = (1e-5, 1e3);
         let stops = over_logarithm(&json!("viridis"), (low, high)).expect("a map");
         let palette = palette(&stops).expect("stops");
-        let map: Colormap = "viridis".parse().expect("a map");
+        let map: NamedPalette = "viridis".parse().expect("a map");
         for i in 0..=1000 {
             let t = f64::from(i) / 1000.0;
             let value = low * (high / low).powf(t);

@@ -7,7 +7,7 @@ use serde_json::{Map, Value};
 
 use super::error::StyleError;
 use super::spelling::Spelling;
-use super::table::{OPTIONS, Style, StyleOption};
+use super::table::{OPTIONS, Style};
 
 impl Style {
     /// Reads an object whose keys are option names. `null` and `false` leave an option unset.
@@ -19,7 +19,7 @@ impl Style {
         for (key, value) in object {
             let wrong = |what: String| StyleError { option: key.clone(), what };
             let option = spelling.option(key).ok_or_else(|| {
-                let names: Vec<_> = OPTIONS.iter().map(|option| spelling.of(option.name())).collect();
+                let names: Vec<_> = OPTIONS.iter().map(|option| spelling.of(option.name)).collect();
                 wrong(format!("there is no such option; there are {}", names.join(", ")))
             })?;
             if !value.is_null() && value != &Value::Bool(false) {
@@ -36,7 +36,7 @@ impl Serialize for Style {
         let mut map = serializer.serialize_map(None)?;
         for option in OPTIONS {
             if let Some(value) = option.json(self) {
-                map.serialize_entry(&Spelling::Camel.of(StyleOption::name(option)), &value)?;
+                map.serialize_entry(&Spelling::Camel.of(option.name), &value)?;
             }
         }
         map.end()

@@ -11,7 +11,7 @@ use super::values::{Background, Choice, Flag, Rgb, StepLength, ValueRange, Words
 use crate::values;
 
 /// Reads and writes the value of an option.
-pub(super) trait Kind<T> {
+pub(crate) trait Kind<T> {
     /// Reads a value from a command line.
     fn parse(&self, text: &str) -> Result<T, String>;
 
@@ -48,7 +48,7 @@ pub(super) trait Kind<T> {
 }
 
 /// One of a few words.
-pub(super) struct Word;
+pub(crate) struct Word;
 
 impl<T: Words> Kind<T> for Word {
     fn parse(&self, text: &str) -> Result<T, String> {
@@ -69,7 +69,7 @@ impl<T: Words> Kind<T> for Word {
 }
 
 /// A value that the library parses from its name.
-pub(super) struct Named;
+pub(crate) struct Named;
 
 impl<T: FromStr<Err = ParseError> + Display> Kind<T> for Named {
     fn parse(&self, text: &str) -> Result<T, String> {
@@ -82,7 +82,7 @@ impl<T: FromStr<Err = ParseError> + Display> Kind<T> for Named {
 }
 
 /// A flag: set or unset.
-pub(super) struct Switch;
+pub(crate) struct Switch;
 
 impl Kind<Flag> for Switch {
     fn parse(&self, _: &str) -> Result<Flag, String> {
@@ -108,10 +108,13 @@ impl Kind<Flag> for Switch {
 }
 
 /// A number from the first to the second, both included.
-pub(super) struct Number(pub(super) f64, pub(super) f64);
+pub(crate) struct Number(pub(crate) f64, pub(crate) f64);
+
+/// A factor.
+pub(crate) const POSITIVE: Number = Number(f64::MIN_POSITIVE, f64::MAX);
 
 /// A length.
-pub(super) const LENGTH: Number = Number(SHORTEST, FARTHEST);
+pub(crate) const LENGTH: Number = Number(SHORTEST, FARTHEST);
 
 impl Kind<f64> for Number {
     fn parse(&self, text: &str) -> Result<f64, String> {
@@ -136,7 +139,7 @@ impl Kind<f64> for Number {
 }
 
 /// A whole number from the first to the second, both included.
-pub(super) struct Whole(pub(super) u32, pub(super) u32);
+pub(crate) struct Whole(pub(crate) u32, pub(crate) u32);
 
 impl Kind<u32> for Whole {
     fn parse(&self, text: &str) -> Result<u32, String> {
@@ -173,7 +176,7 @@ fn numbers<const N: usize>(json: &Value) -> Option<[f64; N]> {
 }
 
 /// Three numbers, as a JSON array or as `1,0,-2.5`. The function parses and validates the text.
-pub(super) struct Vector(pub(super) fn(&str) -> Result<[f64; 3], String>);
+pub(crate) struct Vector(pub(crate) fn(&str) -> Result<[f64; 3], String>);
 
 impl Kind<[f64; 3]> for Vector {
     fn parse(&self, text: &str) -> Result<[f64; 3], String> {
@@ -201,8 +204,73 @@ impl Kind<[f64; 3]> for Vector {
     }
 }
 
+/// A whole number.
+pub(crate) struct Count;
+
+impl Kind<u64> for Count {
+    fn parse(&self, text: &str) -> Result<u64, String> {
+        text.trim().parse().map_err(|_| format!("`{text}` is not a whole number"))
+    }
+
+    fn text(&self, value: &u64) -> String {
+        value.to_string()
+    }
+
+    fn read(&self, json: &Value) -> Result<u64, String> {
+        self.parse(&number_text(json)?)
+    }
+
+    fn json(&self, value: &u64) -> Value {
+        json!(value)
+    }
+}
+
+/// Names, separated by commas; or a list of them in JSON.
+pub(crate) struct List;
+
+impl Kind<Vec<String>> for List {
+    fn parse(&self, text: &str) -> Result<Vec<String>, String> {
+        Ok(text.split(',').map(str::to_owned).collect())
+    }
+
+    fn text(&self, value: &Vec<String>) -> String {
+        value.join(",")
+    }
+
+    fn read(&self, json: &Value) -> Result<Vec<String>, String> {
+        let names = |list: &Vec<Value>| list.iter().map(|name| Some(name.as_str()?.to_owned())).collect();
+        match (json.as_str(), json.as_array().and_then(names)) {
+            (Some(text), _) => self.parse(text),
+            (None, Some(names)) => Ok(names),
+            _ => Err(format!("expected names, and got {json}")),
+        }
+    }
+
+    fn json(&self, value: &Vec<String>) -> Value {
+        json!(value)
+    }
+
+    fn is_signed(&self) -> bool {
+        // `-` leaves a column out.
+        true
+    }
+}
+
 /// Any text.
-pub(super) struct Text;
+pub(crate) struct Text;
+
+/// A text that means something: the function says what is wrong with it.
+pub(crate) struct Checked(pub(crate) fn(&str) -> Result<(), String>);
+
+impl Kind<String> for Checked {
+    fn parse(&self, text: &str) -> Result<String, String> {
+        (self.0)(text).map(|()| text.to_owned())
+    }
+
+    fn text(&self, value: &String) -> String {
+        value.clone()
+    }
+}
 
 impl Kind<String> for Text {
     fn parse(&self, text: &str) -> Result<String, String> {
@@ -215,7 +283,7 @@ impl Kind<String> for Text {
 }
 
 /// The ends of a colour map: `0:10`, `1%:99%`, or two numbers in JSON.
-pub(super) struct Range;
+pub(crate) struct Range;
 
 impl Kind<ValueRange> for Range {
     fn parse(&self, text: &str) -> Result<ValueRange, String> {
@@ -244,7 +312,7 @@ impl Kind<ValueRange> for Range {
 }
 
 /// An opacity rule. JSON may also have a number, which is the extinction, or the points of a curve.
-pub(super) struct Opacity;
+pub(crate) struct Opacity;
 
 impl Kind<OpacityRule> for Opacity {
     fn parse(&self, text: &str) -> Result<OpacityRule, String> {
@@ -290,7 +358,7 @@ impl Kind<OpacityRule> for Opacity {
 }
 
 /// A colour.
-pub(super) struct Color;
+pub(crate) struct Color;
 
 impl Kind<Rgb> for Color {
     fn parse(&self, text: &str) -> Result<Rgb, String> {
@@ -303,7 +371,7 @@ impl Kind<Rgb> for Color {
 }
 
 /// A colour, or `none`.
-pub(super) struct Behind;
+pub(crate) struct Behind;
 
 impl Kind<Background> for Behind {
     fn parse(&self, text: &str) -> Result<Background, String> {
@@ -316,7 +384,7 @@ impl Kind<Background> for Behind {
 }
 
 /// A length, or `auto`.
-pub(super) struct Step;
+pub(crate) struct Step;
 
 impl Kind<StepLength> for Step {
     fn parse(&self, text: &str) -> Result<StepLength, String> {

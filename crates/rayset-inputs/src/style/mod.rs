@@ -6,15 +6,17 @@
 
 mod error;
 mod json;
-mod kinds;
+pub(crate) mod kinds;
+pub(crate) mod option;
 mod rules;
 mod spelling;
 mod table;
 mod values;
 
 pub use self::error::StyleError;
+pub use self::option::{Change, Group, OptionOf, Options};
 pub use self::spelling::Spelling;
-pub use self::table::{Change, Group, OPTIONS, Style, StyleOption};
+pub use self::table::{OPTIONS, Style, StyleOption};
 pub use self::values::{
     Background, Choice, Flag, LookName, Phase, Rgb, Shading, Side, StepLength, ValueRange,
 };

@@ -1,26 +1,11 @@
 //! Listing, merging and checking the options of a style.
 
 use super::error::StyleError;
+use super::option::Group;
 use super::spelling::Spelling;
-use super::table::{Group, OPTIONS, Style, StyleOption};
+use super::table::{OPTIONS, Style, StyleOption};
 
 impl Style {
-    /// The options that are set, as words of a command line: `--look=gas`.
-    #[must_use]
-    pub fn words(&self) -> Vec<String> {
-        OPTIONS
-            .iter()
-            .filter_map(|option| {
-                let text = option.text(self)?;
-                Some(if option.is_flag() {
-                    format!("--{}", option.name())
-                } else {
-                    format!("--{}={text}", option.name())
-                })
-            })
-            .collect()
-    }
-
     /// The first option of a group that is set.
     #[must_use]
     pub fn given(&self, group: Group) -> Option<&'static StyleOption> {
@@ -43,7 +28,7 @@ impl Style {
         for option in OPTIONS.iter().filter(|option| option.is_given(self)) {
             let is_given = |name: &&&str| StyleOption::find(name).is_some_and(|other| other.is_given(self));
             let wrong =
-                |what: String| Err(StyleError { option: spelling.of(option.name()).into_owned(), what });
+                |what: String| Err(StyleError { option: spelling.of(option.name).into_owned(), what });
             if let Some(other) = option.excludes.iter().find(is_given) {
                 return wrong(format!("cannot be used with {}", spelling.of(other)));
             }

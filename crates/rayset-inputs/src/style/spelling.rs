@@ -19,7 +19,7 @@ impl Spelling {
     /// Finds an option by its name in this spelling.
     #[must_use]
     pub fn option(self, spelt: &str) -> Option<&'static StyleOption> {
-        OPTIONS.iter().find(|option| self.of(option.name()) == spelt)
+        OPTIONS.iter().find(|option| self.of(option.name) == spelt)
     }
 
     /// Converts a name from the command line, without dashes in front, to this spelling.

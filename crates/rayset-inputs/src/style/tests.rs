@@ -44,7 +44,7 @@ fn with(name: &str, text: &str) -> Style {
 
 #[test]
 fn each_option_is_typed_and_sent_as_json_and_means_the_same() {
-    assert!(OPTIONS.iter().map(StyleOption::name).eq(TYPED.iter().map(|(name, _)| *name)), "one of each");
+    assert!(OPTIONS.iter().map(|option| option.name).eq(TYPED.iter().map(|(name, _)| *name)), "one of each");
     for (name, text) in TYPED {
         let style = with(name, text);
         let option = StyleOption::find(name).expect("an option");

@@ -4,7 +4,7 @@
 //! Layers are distinguished by the names of their channels, as is customary ("Technical
 //! Introduction to OpenEXR", section on layers).
 
-use std::io::{self, Seek, Write};
+use std::io::{Seek, Write};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
@@ -16,27 +16,12 @@ use exr::meta::BlockDescription;
 use exr::meta::attribute::{ChannelDescription, IntegerBounds, LineOrder, SampleType};
 use exr::meta::header::{Header, ImageAttributes};
 
-use super::{Band, LayerPixel};
+use super::{Band, ImageError, LayerPixel};
 
-/// Why a picture could not be written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ExrError {
-    /// The encoder reported an error.
-    #[error("{0}")]
-    Encode(String),
-    /// The system reported an error.
-    #[error(transparent)]
-    Io(#[from] io::Error),
-    /// A band has no layers, a different width, or too many rows.
-    #[error("bands have to come from the top, with their layers")]
-    Band,
-}
-
-fn encode_error(error: exr::error::Error) -> ExrError {
+fn encode_error(error: exr::error::Error) -> ImageError {
     match error {
-        exr::error::Error::Io(error) => ExrError::Io(error),
-        other => ExrError::Encode(other.to_string()),
+        exr::error::Error::Io(error) => ImageError::Io(error),
+        other => ImageError::Encode(other.to_string()),
     }
 }
 
@@ -88,13 +73,13 @@ impl ExrBands {
     /// (`left`, `top`) in a picture of size `whole`.
     ///
     /// # Errors
-    /// [`ExrError`] if the writer thread cannot be started.
+    /// [`ImageError`] if the writer thread cannot be started.
     pub fn new<W: Write + Seek + Send + 'static>(
         output: W,
         (width, height): (u32, u32),
         (left, top): (u32, u32),
         whole: (u32, u32),
-    ) -> Result<Self, ExrError> {
+    ) -> Result<Self, ImageError> {
         let channels = CHANNELS.iter().map(|(name, value)| {
             let of_type = match value {
                 Value::Float(_) => SampleType::F32,
@@ -130,17 +115,17 @@ impl ExrBands {
     /// Appends a band.
     ///
     /// # Errors
-    /// [`ExrError`] if the file cannot be written, or if the band has no layers or is not the next
+    /// [`ImageError`] if the file cannot be written, or if the band has no layers or is not the next
     /// from the top.
-    pub fn write(&mut self, band: &Band) -> Result<(), ExrError> {
+    pub fn write(&mut self, band: &Band) -> Result<(), ImageError> {
         let is_next = band.first_row as usize == self.top + self.first_row + self.rows;
         if band.width as usize != self.width || band.layers.len() != band.pixels.len() || !is_next {
-            return Err(ExrError::Band);
+            return Err(ImageError::Band);
         }
         for (pixels, layers) in band.pixels.chunks(self.width).zip(band.layers.chunks(self.width)) {
             let done = self.first_row + self.rows + 1;
             if done > self.height {
-                return Err(ExrError::Band);
+                return Err(ImageError::Band);
             }
             self.add_row(pixels, layers);
             if self.rows == BLOCK_ROWS || done == self.height {
@@ -168,7 +153,7 @@ impl ExrBands {
         self.rows += 1;
     }
 
-    fn send_block(&mut self) -> Result<(), ExrError> {
+    fn send_block(&mut self) -> Result<(), ImageError> {
         let (data, rows) = (std::mem::take(&mut self.data), std::mem::take(&mut self.rows));
         let index = BlockIndex {
             layer: 0,
@@ -186,17 +171,17 @@ impl ExrBands {
     /// Completes the file.
     ///
     /// # Errors
-    /// [`ExrError`] if rows are missing or the file cannot be written.
-    pub fn finish(mut self) -> Result<(), ExrError> {
+    /// [`ImageError`] if rows are missing or the file cannot be written.
+    pub fn finish(mut self) -> Result<(), ImageError> {
         self.end()
     }
 
-    fn end(&mut self) -> Result<(), ExrError> {
+    fn end(&mut self) -> Result<(), ImageError> {
         self.blocks = None;
         let Some(writer) = self.writer.take() else { return Ok(()) };
         match writer.join() {
             Ok(outcome) => outcome.map_err(encode_error),
-            Err(_) => Err(ExrError::Encode("the encoder gave up".into())),
+            Err(_) => Err(ImageError::Encode("the encoder gave up".into())),
         }
     }
 }
@@ -216,7 +201,7 @@ mod tests {
     fn bands_in_another_order_than_from_the_top_are_refused() {
         let mut picture =
             ExrBands::new(Cursor::new(Vec::new()), (4, 6), (2, 10), (9, 20)).expect("a picture begins");
-        let refused = |outcome| matches!(outcome, Err(ExrError::Band));
+        let refused = |outcome| matches!(outcome, Err(ImageError::Band));
         assert!(refused(picture.write(&Band::new(0, 4, 3, true))), "rows above the picture");
         assert!(refused(picture.write(&Band::new(13, 4, 3, true))), "rows left out");
         assert!(refused(picture.write(&Band::new(10, 5, 3, true))), "another width");

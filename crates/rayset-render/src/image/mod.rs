@@ -1,15 +1,17 @@
 //! Pictures: bands of rows in linear light, and writers for PNG and for OpenEXR with layers.
 
 mod display;
+mod error;
 #[cfg(feature = "exr")]
 mod exr_out;
 mod png_out;
 
 pub use display::srgb_from_linear;
 pub use display::{DisplayTransform, ToneMapping};
+pub use error::ImageError;
 #[cfg(feature = "exr")]
-pub use exr_out::{ExrBands, ExrError};
-pub use png_out::{PngBands, PngError};
+pub use exr_out::ExrBands;
+pub use png_out::PngBands;
 
 /// Rows of a picture: premultiplied colour and opacity, in linear light.
 #[derive(Clone, Debug, PartialEq)]

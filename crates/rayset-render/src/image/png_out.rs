@@ -1,30 +1,14 @@
 //! PNG, written band by band, so that the whole picture is never held in memory.
 
-use std::io::{self, Write};
+use std::io::Write;
 
 use super::display::Rgba8;
-use super::{Band, DisplayTransform};
-use rayset_store::output::OutputError;
+use super::{Band, DisplayTransform, ImageError};
 
-/// Why a picture could not be written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum PngError {
-    /// The encoder reported an error.
-    #[error("{0}")]
-    Encode(String),
-    /// The system reported an error.
-    #[error(transparent)]
-    Io(#[from] io::Error),
-    /// The file cannot be written.
-    #[error(transparent)]
-    Output(#[from] OutputError),
-}
-
-fn encode_error(error: png::EncodingError) -> PngError {
+fn encode_error(error: png::EncodingError) -> ImageError {
     match error {
-        png::EncodingError::IoError(error) => PngError::Io(error),
-        other => PngError::Encode(other.to_string()),
+        png::EncodingError::IoError(error) => ImageError::Io(error),
+        other => ImageError::Encode(other.to_string()),
     }
 }
 
@@ -39,13 +23,13 @@ impl<W: Write + 'static> PngBands<W> {
     /// Writes the header of a picture.
     ///
     /// # Errors
-    /// [`PngError`] if the size is zero or the header cannot be written.
+    /// [`ImageError`] if the size is zero or the header cannot be written.
     pub fn new(
         output: W,
         width: u32,
         height: u32,
         display_transform: DisplayTransform,
-    ) -> Result<Self, PngError> {
+    ) -> Result<Self, ImageError> {
         let mut encoder = png::Encoder::new(output, width, height);
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
@@ -59,8 +43,8 @@ impl<W: Write + 'static> PngBands<W> {
     /// Appends a band.
     ///
     /// # Errors
-    /// [`PngError`] if the pixels cannot be written.
-    pub fn write(&mut self, band: &Band) -> Result<(), PngError> {
+    /// [`ImageError`] if the pixels cannot be written.
+    pub fn write(&mut self, band: &Band) -> Result<(), ImageError> {
         self.write_with(band, |_, _| {})
     }
 
@@ -69,12 +53,12 @@ impl<W: Write + 'static> PngBands<W> {
     /// straight alpha.
     ///
     /// # Errors
-    /// [`PngError`] if the pixels cannot be written.
+    /// [`ImageError`] if the pixels cannot be written.
     pub fn write_with(
         &mut self,
         band: &Band,
         mut retouch: impl FnMut(u32, &mut [u8]),
-    ) -> Result<(), PngError> {
+    ) -> Result<(), ImageError> {
         for (number, pixels) in (band.first_row..).zip(band.pixels.chunks(band.width.max(1) as usize)) {
             self.row.clear();
             self.row.extend(pixels.iter().flat_map(|&pixel| self.encoder.encode(pixel)));
@@ -87,8 +71,8 @@ impl<W: Write + 'static> PngBands<W> {
     /// Completes the file.
     ///
     /// # Errors
-    /// [`PngError`] if rows are missing or the file cannot be written.
-    pub fn finish(self) -> Result<(), PngError> {
+    /// [`ImageError`] if rows are missing or the file cannot be written.
+    pub fn finish(self) -> Result<(), ImageError> {
         self.writer.finish().map_err(encode_error)
     }
 }

@@ -15,7 +15,7 @@ use rayset_base::parse::ParseError;
 
 /// A named colour map: a colour for every number from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Colormap {
+pub struct NamedPalette {
     knots: &'static [u32],
     name: &'static str,
     reversed: bool,
@@ -44,7 +44,7 @@ const NAMED: [(&str, &[u32]); 16] = [
     ("terrain", &TERRAIN),
 ];
 
-impl Colormap {
+impl NamedPalette {
     /// All maps, none of them reversed.
     pub fn all() -> impl Iterator<Item = Self> {
         NAMED.iter().map(|&(name, knots)| Self { knots, name, reversed: false })
@@ -65,7 +65,7 @@ impl Colormap {
     }
 }
 
-impl Colormap {
+impl NamedPalette {
     /// The colours with their places from 0 to 1; colours in between are interpolated linearly.
     pub(super) fn stops(&self) -> Vec<(f64, [f64; 3])> {
         let last = (self.knots.len() - 1) as f64;
@@ -73,13 +73,13 @@ impl Colormap {
     }
 }
 
-impl fmt::Display for Colormap {
+impl fmt::Display for NamedPalette {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}{}", self.name, if self.reversed { "_r" } else { "" })
     }
 }
 
-impl FromStr for Colormap {
+impl FromStr for NamedPalette {
     type Err = ParseError;
 
     fn from_str(s: &str) -> Result<Self, Self::Err> {

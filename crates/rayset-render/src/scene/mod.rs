@@ -24,7 +24,7 @@ use rayset_base::setters;
 
 pub use camera::{Camera, CameraError, Projection};
 pub(crate) use camera::{Footprint, RayMaker};
-pub use colormap::Colormap;
+pub use colormap::NamedPalette;
 pub use error::{MOST_ATTRIBUTES, SceneError};
 pub(crate) use graph::check_transform;
 pub use graph::largest_stretch;

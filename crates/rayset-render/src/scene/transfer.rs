@@ -7,7 +7,7 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use super::colormap::Colormap;
+use super::colormap::NamedPalette;
 use super::{FARTHEST, SHORTEST};
 use crate::field::linear_from_srgb;
 use rayset_base::bytes::list_bytes;
@@ -47,7 +47,7 @@ pub enum MapInput {
 #[non_exhaustive]
 pub enum Palette {
     /// A named colour map.
-    Named(Colormap),
+    Named(NamedPalette),
     /// (place, display-encoded colour) pairs in ascending order of places from 0 to 1, interpolated
     /// linearly. If several stops share one place, an edge, the last applies at and above it, the
     /// first just below.
@@ -96,7 +96,7 @@ pub struct ColorMap {
 impl ColorMap {
     /// A named palette over a range of values.
     #[must_use]
-    pub fn named(palette: Colormap, range: (f64, f64)) -> Self {
+    pub fn named(palette: NamedPalette, range: (f64, f64)) -> Self {
         Self { palette: Palette::Named(palette), range }
     }
 

@@ -12,6 +12,7 @@ mod locate;
 mod preset;
 mod reader;
 mod text;
+mod transfers;
 mod view;
 
 use std::cell::RefCell;

@@ -4,7 +4,7 @@ use super::ambient_occlusion::{AmbientOcclusion, Footprint, Surroundings};
 use super::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
 use super::view::View;
 use super::work::{Region, Tile, Work};
-use super::{RenderCounts, RenderError};
+use super::{RenderCounts, RenderError, SettingError};
 use crate::image::Band;
 use rayset_base::cancel::CancelToken;
 
@@ -46,8 +46,7 @@ impl View {
         let whole = self.region();
         let within = region.columns.end <= whole.columns.end && region.rows.end <= whole.rows.end;
         if region.columns.is_empty() || region.rows.is_empty() || !within {
-            let what = "empty, or not within the picture".into();
-            return Err(RenderError::Setting { setting: "region", what });
+            return Err(SettingError::Region.into());
         }
         Ok(())
     }

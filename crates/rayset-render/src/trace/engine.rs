@@ -3,19 +3,17 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::RenderError;
+use super::error::MOST_THREADS;
 use super::memory::{self, SceneNeeds};
 use super::predict::{self, Predictor};
 use super::scheduler::Scheduler;
 use super::work::MAX_TILE_PIXELS;
+use super::{RenderError, SettingError};
 use crate::field::{SLAB_SAMPLES, SimdLevel};
 use crate::scene::{RenderSettings, Scene};
 use rayset_files::PagedFiles;
 use rayset_files::octree::Cloud;
 use rayset_store::working_set::{Kind, Limits, PageGuard, WorkingSet};
-
-/// Most threads allowed: more than any machine has processors.
-const MOST_THREADS: usize = 4096;
 
 /// How the work is done. Nothing here changes a pixel, except that vector instructions with and
 /// without fused multiply–add differ in the last bits.
@@ -136,12 +134,10 @@ impl Engine {
         if !(1..=MAX_TILE_PIXELS).contains(&exec.tile_pixels)
             || !(1..=SLAB_SAMPLES).contains(&exec.slab_samples)
         {
-            let what = "tiles have edges of 1 to 8 pixels, slabs 1 to 32 samples".into();
-            return Err(RenderError::Setting { setting: "tile or slab", what });
+            return Err(SettingError::TileOrSlab.into());
         }
         if exec.threads > MOST_THREADS {
-            let what = format!("{} are more than {MOST_THREADS}", exec.threads);
-            return Err(RenderError::Setting { setting: "threads", what });
+            return Err(SettingError::Threads(exec.threads).into());
         }
         let caps_bytes = u64::MAX;
         let scheduler = Scheduler::start(exec.threads.max(1)).map_err(RenderError::Threads)?;

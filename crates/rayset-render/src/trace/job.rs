@@ -91,6 +91,8 @@ struct State {
     /// Tiles that threads deferred before they left.
     left_behind: Vec<Deferred>,
     outputs: VecDeque<Output>,
+    /// Tiles handed out since threads were last called back.
+    since_call: usize,
     /// Threads at work.
     threads: usize,
     counts: RenderCounts,
@@ -108,8 +110,8 @@ pub(super) struct Output {
 
 /// What a render returns to its caller next.
 pub(super) enum Next {
-    /// A finished tile. If threads may have left because too many waited, there is room for the
-    /// tiles of so many again, which are to be called back; otherwise 0.
+    /// A finished tile; and how many threads are to be called back, because there is room for their
+    /// tiles again.
     Tile {
         output: Box<Output>,
         room: usize,
@@ -178,9 +180,10 @@ impl Job {
         loop {
             let stopped = self.stop.is_cancelled();
             if !stopped && let Some(output) = state.outputs.pop_front() {
-                let calls = state.outputs.len() == FEW_WAITING;
-                let room = if calls { MOST_WAITING - FEW_WAITING } else { 0 };
-                return Next::Tile { output: Box::new(output), room };
+                // At most one thread a tile: those that find too many waiting are idle again.
+                let calls = state.since_call + 1 >= FEW_WAITING && !state.is_filling();
+                state.since_call = if calls { 0 } else { state.since_call + 1 };
+                return Next::Tile { output: Box::new(output), room: if calls { FEW_WAITING } else { 0 } };
             }
             let complete = state.pass == self.passes.len();
             if state.threads == 0 && (complete || stopped) {
@@ -435,9 +438,7 @@ impl Task for Job {
 }
 
 impl State {
-    /// Whether so many tiles wait that no thread joins: those that have left because too many
-    /// waited come back together when there is room for more than one tile, not for each that is
-    /// handed out.
+    /// Whether so many tiles wait that no thread joins.
     fn is_filling(&self) -> bool {
         self.outputs.len() > FEW_WAITING
     }

@@ -15,6 +15,7 @@ mod compiler;
 mod composite;
 mod counts;
 mod engine;
+mod error;
 mod grid;
 mod inside;
 mod interior;
@@ -28,6 +29,7 @@ pub mod memory_plan;
 mod node_samples;
 mod operators;
 mod packet_tracer;
+#[cfg(feature = "parts")]
 pub mod parts;
 pub mod predict;
 mod prepared;
@@ -50,74 +52,12 @@ mod view;
 mod work;
 mod world;
 
-use std::io;
-use std::path::PathBuf;
-
 pub use self::counts::RenderCounts;
 pub use self::engine::ExecSettings;
+pub use self::error::{RenderError, SettingError};
 pub use self::predict::Prediction;
 pub use self::prepared::PreparedScene;
 pub use self::session::{Session, SessionBuilder, render_once};
 pub use self::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
 pub use self::view::View;
 pub use self::work::{MAX_TILE_PIXELS, Region, Tile, Work};
-use crate::scene::{CameraError, SceneError};
-use rayset_store::storage::shown;
-use rayset_store::working_set::PageFault;
-
-/// Why a scene cannot be prepared or rendered.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RenderError {
-    /// A page could not be obtained.
-    #[error(transparent)]
-    Page(PageFault),
-    /// The camera is invalid.
-    #[error(transparent)]
-    Camera(#[from] CameraError),
-    /// The scene is invalid.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// A setting is out of range.
-    #[error("{setting}: {what}")]
-    Setting {
-        /// The setting.
-        setting: &'static str,
-        /// What is wrong with it, and what is expected.
-        what: String,
-    },
-    /// A file of the scene cannot be opened.
-    #[error("cannot open {}: {source}", shown(path))]
-    Open {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        r#source: io::Error,
-    },
-    /// The requested way to read pages is not available.
-    #[error("io_uring is not available here: {0}")]
-    Io(io::Error),
-    /// The session's memory budget is too small for the scenes prepared in it.
-    #[error("a memory budget of {given} bytes is too small: this scene needs at least {needed}")]
-    Memory {
-        /// The budget.
-        given: u64,
-        /// The smallest sufficient budget, including the other scenes prepared in the session.
-        needed: u64,
-    },
-    /// The system cannot start a thread.
-    #[error("cannot start a thread: {0}")]
-    Threads(io::Error),
-    /// The sink refused a part of the picture.
-    #[error("the picture could not be written: {0}")]
-    Sink(SinkError),
-    /// The render was cancelled.
-    #[error("cancelled")]
-    Cancelled,
-}
-
-impl From<PageFault> for RenderError {
-    fn from(fault: PageFault) -> Self {
-        if let PageFault::Cancelled = fault { Self::Cancelled } else { Self::Page(fault) }
-    }
-}

@@ -18,6 +18,7 @@ pub struct PreparedScene(pub(super) Arc<Prepared>);
 /// The state that all views of a scene share.
 pub(super) struct Prepared {
     /// The scene as it was given.
+    #[cfg_attr(not(feature = "parts"), allow(dead_code, reason = "parts say which scene they are of"))]
     pub(super) scene: Scene,
     pub(super) world: World,
     pub(super) settings: RenderSettings,

@@ -6,7 +6,6 @@
 
 use std::sync::Arc;
 
-use super::RenderError;
 use super::bounce::ScatterKinds;
 use super::cloud::CloudVolume;
 use super::grid::GridVolume;
@@ -14,6 +13,7 @@ use super::node_samples::{Constants, LEAF, MATERIAL, Measure, RequiredOutputs};
 use super::procedural::ProceduralVolume;
 use super::transfer::CompiledTransfer;
 use super::unopened::Unopened;
+use super::{RenderError, SettingError};
 use crate::field::SimdLevel;
 use crate::scene::{Node, Operator, RenderSettings};
 use rayset_base::bytes::list_bytes;
@@ -21,7 +21,6 @@ use rayset_base::geometry::{Aabb, Ray};
 use rayset_files::PagedFiles;
 use rayset_files::grid::Grid;
 use rayset_files::octree::Cloud;
-use rayset_store::storage::shown;
 use rayset_store::working_set::Object;
 
 /// What an instruction does.
@@ -216,7 +215,7 @@ impl Program {
 
 /// The error for a file of the scene that was not opened.
 fn not_paged(path: &std::path::Path) -> RenderError {
-    RenderError::Setting { setting: "scene", what: format!("{} is in no working set", shown(path)) }
+    SettingError::NotOpen(path.to_owned()).into()
 }
 
 /// The distinct materials of leaves, apart from leaf numbers.

@@ -5,12 +5,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::engine::{CapMemory, Engine, ExecSettings};
+use super::error::FINEST_SHADOWS;
 use super::interior;
 use super::predict::Prediction;
 use super::prepared::PreparedScene;
 use super::sink::Picture;
 use super::world::World;
-use super::{RenderCounts, RenderError};
+use super::{RenderCounts, RenderError, SettingError};
 use crate::field::SimdLevel;
 use crate::scene::{Camera, Node, RenderSettings, Scene, Shadows, Shape};
 use rayset_base::cancel::CancelToken;
@@ -312,38 +313,30 @@ pub fn render_once(
     Ok((picture, counts))
 }
 
-/// Most rays along a side of a table of shadows.
-const FINEST_SHADOWS: u32 = 1 << 14;
-
 fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
     scene.check()?;
     scene.check_step(settings.step)?;
-    let wrong = |setting, what: String| Err(RenderError::Setting { setting, what });
     if !(settings.stop_transmittance >= 0.0 && settings.stop_transmittance < 1.0) {
-        return wrong("stop transmittance", format!("{} is not in [0, 1)", settings.stop_transmittance));
+        return Err(SettingError::StopTransmittance(settings.stop_transmittance).into());
     }
     check_samples(settings.samples)?;
     if let Shadows::Cached { resolution } = settings.shadows
         && !(1..=FINEST_SHADOWS).contains(&resolution)
     {
-        return wrong("shadows", format!("{resolution} rays a side are not between 1 and {FINEST_SHADOWS}"));
+        return Err(SettingError::Shadows(resolution).into());
     }
     if !(8..=1024).contains(&settings.cap_resolution) {
-        return wrong("cap resolution", format!("{} is not between 8 and 1024", settings.cap_resolution));
+        return Err(SettingError::CapResolution(settings.cap_resolution).into());
     }
     if !(0.0..=4.0).contains(&settings.ambient_occlusion) {
-        return wrong("ambient occlusion", format!("{} is not between 0 and 4", settings.ambient_occlusion));
+        return Err(SettingError::AmbientOcclusion(settings.ambient_occlusion).into());
     }
     Ok(())
 }
 
 /// Refuses numbers of rays along a side of a pixel that are out of range.
 pub(super) fn check_samples(samples: u32) -> Result<(), RenderError> {
-    if (1..=64).contains(&samples) {
-        return Ok(());
-    }
-    let what = format!("{samples} is not between 1 and 64 along a side of a pixel");
-    Err(RenderError::Setting { setting: "samples", what })
+    if (1..=64).contains(&samples) { Ok(()) } else { Err(SettingError::Samples(samples).into()) }
 }
 
 /// Opens the files of a graph that are not open yet.

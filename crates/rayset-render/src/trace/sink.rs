@@ -4,7 +4,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use super::work::Tile;
-use crate::image::{Band, DisplayTransform, LayerPixel, PngBands, PngError};
+use crate::image::{Band, DisplayTransform, ImageError, LayerPixel, PngBands};
 use rayset_store::output::{Destination, OutputFile};
 
 /// Why a sink refuses a tile or a band; it ends the render.
@@ -97,8 +97,8 @@ impl Picture {
     /// [`DisplayTransform::default`]. The file appears under its name only when it is complete.
     ///
     /// # Errors
-    /// [`PngError`]; a file that exists at `path` is then left unchanged.
-    pub fn save_png(&self, path: impl AsRef<Path>) -> Result<(), PngError> {
+    /// [`ImageError`]; a file that exists at `path` is then left unchanged.
+    pub fn save_png(&self, path: impl AsRef<Path>) -> Result<(), ImageError> {
         let file = OutputFile::create(&Destination::new(path)?)?;
         let output = BufWriter::new(file.writer());
         let mut png = PngBands::new(output, self.width, self.height, DisplayTransform::default())?;

@@ -14,10 +14,10 @@
 //! finest points. Then the points themselves are tested: a ray is as fine as the finest sphere of
 //! influence that it passes through.
 
-use super::RenderError;
 use super::access::{Access, Halt};
 use super::cloud::{CloudPlacement, RetainedNodes, each_own_page, run_bounds};
 use super::program::{Action, Program};
+use super::{RenderError, SettingError};
 use crate::field::{LANES, RayColumns};
 use crate::scene::{FINEST_DETAIL, MOST_STEPS, MOST_STEPS_IN_SOLIDS, RenderSettings, Step};
 use rayset_base::geometry::{Aabb, Beam, DVec3, Ray};
@@ -109,17 +109,12 @@ impl StepRule {
             Step::Automatic { .. } => (1.0, false),
         };
         if !(coarsest > 0.0 && coarsest.is_finite()) {
-            let what = format!("{coarsest} is not a positive number");
-            return Err(RenderError::Setting { setting: "step", what });
+            return Err(SettingError::Step(coarsest).into());
         }
         let bounds = &program.instructions[program.root()].bounds;
         let extent = if bounds.is_empty() { 0.0 } else { bounds.size().max_element() };
         if coarsest < extent / MOST_STEPS {
-            let what = format!(
-                "{coarsest:e} is too small for a scene {extent:e} wide; at least {:e} will do",
-                extent / MOST_STEPS
-            );
-            return Err(RenderError::Setting { setting: "step", what });
+            return Err(SettingError::SmallStep { step: coarsest, extent, least: extent / MOST_STEPS }.into());
         }
         let fixed = matches!(settings.step, Step::Fixed(_));
         // The least k with which steps are at least `least` long.

@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
+use super::error::MOST_PIXELS;
 use super::job::{Job, Next};
 use super::prepared::{Prepared, PreparedScene};
 use super::session::check_samples;
 use super::sink::{FinishedTile, TileSink};
 use super::work::{LOOKAHEAD_TILE_PIXELS, MAX_TILE_PIXELS, Region, Tile, Work};
-use super::{RenderCounts, RenderError};
+use super::{RenderCounts, RenderError, SettingError};
 use crate::scene::{Camera, RayMaker, RenderSettings};
 use rayset_base::cancel::CancelToken;
 use rayset_base::geometry::curve::hilbert_order;
@@ -44,9 +45,9 @@ impl PreparedScene {
     /// [`RenderError::Camera`] if the camera is invalid, [`RenderError::Setting`] if the size is
     /// out of range.
     pub fn view_of_size(&self, camera: &Camera, width: u32, height: u32) -> Result<View, RenderError> {
-        if width == 0 || height == 0 || width > 1 << 20 || height > 1 << 20 {
-            let what = format!("{width}x{height} is not between 1x1 and 1048576x1048576");
-            return Err(RenderError::Setting { setting: "size", what });
+        let fits = |pixels: u32| (1..=MOST_PIXELS).contains(&pixels);
+        if !(fits(width) && fits(height)) {
+            return Err(SettingError::Size { width, height }.into());
         }
         let rays = camera.ray_maker(width, height)?;
         let settings = RenderSettings { width, height, ..self.0.settings };
@@ -185,12 +186,6 @@ impl View {
             (1..=MAX_TILE_PIXELS).contains(&length) && start < end && length <= end - start
         };
         let wrong = tiles.iter().find(|t| !(fits(t.x, t.width, width) && fits(t.y, t.height, height)));
-        wrong.map_or(Ok(()), |tile| {
-            let what = format!(
-                "{}x{} pixels at ({}, {}); expected 1x1 to 8x8 pixels within a picture of {width}x{height}",
-                tile.width, tile.height, tile.x, tile.y
-            );
-            Err(RenderError::Setting { setting: "tile", what })
-        })
+        wrong.map_or(Ok(()), |&tile| Err(SettingError::Tile { tile, width, height }.into()))
     }
 }

@@ -13,7 +13,7 @@ use rayset::scene::{
     Shape, Step,
 };
 use rayset::trace::predict::NoPredictor;
-use rayset::trace::{ExecSettings, RenderError, render_once};
+use rayset::trace::{ExecSettings, RenderError, SettingError, render_once};
 
 use crate::common::{Random, bits, build_at, camera, folder, paged, picture, plain_picture, settings};
 use crate::graph::{scene, solid};
@@ -226,7 +226,7 @@ fn only_differences_have_caps_of_a_resolution_in_range() {
     for resolution in [7, 1025] {
         let refused = made(cut(ball()).capped(CAP), &small().with_cap_resolution(resolution));
         assert!(
-            matches!(refused, Err(RenderError::Setting { setting: "cap resolution", .. })),
+            matches!(refused, Err(RenderError::Setting(SettingError::CapResolution(_)))),
             "{:?}",
             refused.err()
         );

@@ -244,8 +244,8 @@ fn named_maps_are_as_near_to_the_published_tables_as_is_said() {
     let mut compared = 0;
     for line in golden.lines().filter(|line| !line.starts_with('#')) {
         let (name, digits) = line.split_once(' ').expect("a name");
-        let map: rayset::scene::Colormap = name.parse().expect("a map");
-        let reversed: rayset::scene::Colormap = format!("{name}_r").parse().expect("a map");
+        let map: rayset::scene::NamedPalette = name.parse().expect("a map");
+        let reversed: rayset::scene::NamedPalette = format!("{name}_r").parse().expect("a map");
         let coarse = ["viridis", "inferno", "magma", "plasma", "turbo", "coolwarm"].contains(&name);
         let allowed = if coarse { 5.0 } else { 1.0 };
         for i in 0..256 {

@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use rayset::geometry::DVec3;
 use rayset::points::{self, ColorDepth, PointBatch, ReadError, ReadOptions, Schema};
 
 use crate::common::folder;
@@ -94,7 +95,7 @@ fn sparse_points_of_colmap_are_read_with_y_down_and_without_their_tracks() {
     let (schema, points) = opened("points3D.txt", text);
     assert_eq!(names(&schema), "POINT3D_ID R G B ERROR");
     assert_eq!(points.position, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
-    assert_eq!((schema.find("red"), schema.up), (Some(1), Some([0.0, -1.0, 0.0])));
+    assert_eq!((schema.find("red"), schema.up), (Some(1), Some(DVec3::NEG_Y)));
 }
 
 #[test]
@@ -118,7 +119,7 @@ fn scans_of_four_or_five_floats_are_read_and_other_bytes_are_not_taken_for_them(
     let four: Vec<Vec<f32>> = (0..700).map(row).collect();
     let (schema, points) = opened("000000.bin", floats(&four));
     assert_eq!((names(&schema).as_str(), points.len()), ("intensity", 700));
-    assert_eq!(schema.up, Some([0.0, 0.0, 1.0]));
+    assert_eq!(schema.up, Some(DVec3::Z));
     assert_eq!(points.position[3][0], f64::from(four[3][0]));
     let five: Vec<Vec<f32>> = (0..8).map(|i| [row(i), vec![f32::from(i % 32)]].concat()).collect();
     let (schema, points) = opened("sweep.pcd.bin", floats(&five));
@@ -183,7 +184,7 @@ fn ply_of_nerfstudio_says_what_is_up_and_ply_of_colmap_is_known_by_its_layout() 
         )
     };
     let (schema, _) = opened("a.ply", head("comment Vertical Axis: z\n", "x y z"));
-    assert_eq!(schema.up, Some([0.0, 0.0, 1.0]));
+    assert_eq!(schema.up, Some(DVec3::Z));
     let (schema, _) = opened("a.ply", head("", "x y z nx ny nz"));
     assert!(schema.description.contains("COLMAP") && schema.up.is_none(), "{}", schema.description);
     for other in [head("", "x y z"), head("comment by MeshLab\n", "x y z nx ny nz")] {

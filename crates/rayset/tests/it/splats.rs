@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use rayset::geometry::DVec3;
 use rayset::points::{self, ColorDepth, PointBatch, ReadOptions, Schema};
 
 use crate::common::{folder, real_data};
@@ -93,7 +94,7 @@ fn the_schema_of_splats_tells_what_is_lost_and_which_way_is_up() {
     for name in FILES {
         let schema = schema(&fixture(name));
         assert!(schema.names().take(9).eq(COLUMNS), "{name}");
-        assert_eq!(schema.up, Some([0.0, if name.ends_with(".spz") { 1.0 } else { -1.0 }, 0.0]), "{name}");
+        assert_eq!(schema.up, Some(DVec3::Y * if name.ends_with(".spz") { 1.0 } else { -1.0 }), "{name}");
         let [warning] = schema.warnings.as_slice() else { panic!("{name}: {:?}", schema.warnings) };
         assert!(warning.contains("their ellipsoids are lost"), "{warning}");
         // The records of `.splat` have no coefficients that would be lost.

@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+#[cfg(feature = "parts")]
 use super::parts::step::BuildStep;
 use crate::points::ReadError;
 use rayset_store::container::OpenError;
@@ -76,6 +77,7 @@ impl Skipped {
 }
 
 /// The first few of some numbers.
+#[cfg(feature = "parts")]
 fn list(numbers: &[u32]) -> String {
     const MOST: usize = 12;
     let named: Vec<String> = numbers.iter().take(MOST).map(u32::to_string).collect();
@@ -181,6 +183,7 @@ pub enum BuildError {
     #[error(transparent)]
     Open(OpenError),
     /// A file of a part of a build cannot be used.
+    #[cfg(feature = "parts")]
     #[error("cannot use {}: {what}", shown(path))]
     Part {
         /// The file.
@@ -189,6 +192,7 @@ pub enum BuildError {
         what: String,
     },
     /// Parts of a step, which the next one needs, have not been done.
+    #[cfg(feature = "parts")]
     #[error(
         "{} {} of {parts} of step `{step}` {} not been done, or not in {}",
         if missing.len() == 1 { "part" } else { "parts" }, list(missing), if missing.len() == 1 { "has" } else { "have" },

@@ -69,6 +69,7 @@ impl<'s> Stretch<'s> {
 }
 
 /// Reads and checks records and hands on those that are valid, encoded; returns their totals.
+#[cfg(feature = "parts")]
 pub(super) fn read(
     context: &Context<'_>,
     columns: &Columns,

@@ -17,6 +17,7 @@ mod ingest;
 mod neighbours;
 mod options;
 mod partition;
+#[cfg(feature = "parts")]
 mod parts;
 mod pieces;
 mod pipeline;
@@ -41,6 +42,7 @@ use self::ingest::Ingested;
 use self::options::check_options;
 pub use self::options::{BuildOptions, InvalidPolicy, Precision, Rule, minimum_memory};
 use self::partition::Partition;
+#[cfg(feature = "parts")]
 pub use self::parts::{BuildParts, BuildStep};
 use self::region::Region;
 use super::file::Cloud;

@@ -113,6 +113,7 @@ impl<'a> Partition<'a> {
     }
 
     /// The sum of a number of each record of a region.
+    #[cfg(feature = "parts")]
     pub(super) fn sum(
         &self,
         region: Region<'_>,
@@ -370,6 +371,7 @@ impl<'a> Partition<'a> {
     }
 
     /// Largest number of records that one thread loads at once.
+    #[cfg(feature = "parts")]
     pub(super) fn cap(&self) -> u64 {
         self.cap
     }

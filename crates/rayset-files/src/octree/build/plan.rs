@@ -77,6 +77,7 @@ impl Pyramid {
     }
 
     /// All counters, level by level.
+    #[cfg(feature = "parts")]
     pub(super) fn counters(&self) -> impl Iterator<Item = &std::sync::atomic::AtomicU64> {
         self.counts.iter().flatten()
     }
@@ -124,6 +125,7 @@ impl Plan {
 
     /// The number of points in each bucket, of those that some counters of a pyramid like this
     /// one's count, level by level.
+    #[cfg(feature = "parts")]
     pub(super) fn counts_by_bucket(&self, counts: &[u64]) -> Vec<u64> {
         let mut by_bucket = vec![0; self.buckets.len()];
         for (count, &bucket) in counts.iter().zip(self.bucket_of.iter().flatten()).filter(|(c, _)| **c > 0) {

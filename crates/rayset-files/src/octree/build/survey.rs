@@ -82,7 +82,7 @@ fn describe(sources: &[Box<dyn PointSource + '_>], length_scale: f64) -> Metadat
     let shared = sources.iter().all(|s| s.schema().crs == crs);
     let described = sources.iter().map(|s| s.schema().description.clone()).filter(|d| !d.is_empty());
     let up = sources.first().and_then(|s| s.schema().up);
-    let up = up.filter(|_| sources.iter().all(|s| s.schema().up == up));
+    let up = up.filter(|_| sources.iter().all(|s| s.schema().up == up)).map(|up| up.to_array());
     let steps = sources.iter().map(|s| s.schema().step.map(|step| step.map(|v| v * length_scale.abs())));
     let step = steps.reduce(Metadata::common_step).flatten();
     Metadata { up, step, ..Metadata::new(if shared { crs } else { "" }, described.collect()) }

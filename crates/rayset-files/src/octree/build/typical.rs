@@ -72,6 +72,7 @@ impl Measured {
     }
 
     /// Includes the counts of other radii.
+    #[cfg(feature = "parts")]
     pub(super) fn merge(&mut self, other: &Self) {
         self.known += other.known;
         self.unknown += other.unknown;
@@ -80,6 +81,7 @@ impl Measured {
     }
 
     /// All of it, as numbers.
+    #[cfg(feature = "parts")]
     pub(super) fn to_words(&self) -> Vec<u64> {
         let mut words = vec![self.known, self.unknown, self.least.to_bits(), self.most.to_bits()];
         words.extend_from_slice(&self.counts);
@@ -87,6 +89,7 @@ impl Measured {
     }
 
     /// From the numbers of [`to_words`](Self::to_words); `None` if there are not as many.
+    #[cfg(feature = "parts")]
     pub(super) fn from_words(words: &[u64]) -> Option<Self> {
         let (&[known, unknown, least, most], counts) = words.split_first_chunk()?;
         let counts = counts.to_vec();

@@ -28,7 +28,8 @@ use std::path::Path;
 use self::packets::{KEPT_LIMIT, Packets};
 use self::pages::{BUFFER_BYTES, Pages};
 use self::scan::{Coordinates, Origin, Scan};
-use super::{Place, PointBatch, PointSource, ReadError, Schema, Values};
+use super::file_source::{FileSource, RecordReader, Request};
+use super::{Place, PointBatch, ReadError, Values};
 use rayset_base::geometry::DVec3;
 
 /// Number of points that are decoded at a time.
@@ -37,13 +38,10 @@ const ROWS: usize = 1024;
 const CONSTANT_POINTS: u64 = 1 << 16;
 
 /// The points of an E57 file.
-pub(super) struct E57Source {
+pub(super) struct E57Reader {
     pages: Pages,
     xml_start: u64,
     scans: Vec<Scan>,
-    schema: Schema,
-    selected: Vec<usize>,
-    count: u64,
     /// Number of scans begun, and the packets and the number of points that are left of the last of
     /// them.
     begun: usize,
@@ -53,12 +51,12 @@ pub(super) struct E57Source {
     raw: Vec<Vec<u64>>,
 }
 
-impl E57Source {
+impl E57Reader {
     /// Opens a file, and checks what it says of its scans against its size.
     ///
     /// # Errors
     /// [`ReadError`] if the file cannot be read, violates its format, or has no scans.
-    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let (contents, pages) = header::open(path)?;
         let bad = |what: String| ReadError::malformed(path, Place::Byte(contents.xml_start), what);
         if contents.scans.is_empty() {
@@ -84,18 +82,17 @@ impl E57Source {
         }
         schema.crs.clone_from(&contents.crs);
         schema.description = describe(&contents);
-        Ok(Self {
+        let count = scans.iter().fold(0_u64, |sum, scan| sum.saturating_add(scan.records));
+        let reader = Self {
             pages,
             xml_start: contents.xml_start,
             raw: vec![Vec::new(); scans.iter().map(|scan| scan.fields.len()).max().unwrap_or(0)],
-            count: scans.iter().fold(0, |sum, scan| sum.saturating_add(scan.records)),
             scans,
-            schema,
-            selected: Vec::new(),
             begun: 0,
             packets: None,
             left: 0,
-        })
+        };
+        Ok(FileSource::new(path, schema, Some(count), reader))
     }
 
     /// Begins the next scan that has points. Returns false if there is none.
@@ -112,20 +109,20 @@ impl E57Source {
         Ok(false)
     }
 
-    /// Appends up to `most` points of the current scan.
-    fn append(&mut self, batch: &mut PointBatch, most: usize) -> Result<(), ReadError> {
+    /// Appends points of the current scan.
+    fn append(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
         let index = self.begun - 1;
         let (scan, Some(packets)) = (&self.scans[index], &mut self.packets) else { return Ok(()) };
-        let most = most.min(ROWS).min(usize::try_from(self.left).unwrap_or(usize::MAX));
+        let most = request.most.min(ROWS).min(usize::try_from(self.left).unwrap_or(usize::MAX));
         let rows = packets.available(&mut self.pages, most)?;
-        for field in wanted(scan, &self.selected) {
+        for field in wanted(scan, request.selected) {
             packets.numbers(field, rows, &mut self.raw[field]);
         }
         packets.pass(rows);
         self.left -= rows as u64;
         let decoded = Decoded { scan, raw: &self.raw };
         batch.position.extend((0..rows).map(|row| decoded.position(row)));
-        for (column, &selected) in batch.columns.iter_mut().zip(&self.selected) {
+        for (column, &selected) in batch.columns.iter_mut().zip(request.selected) {
             decoded.append(scan.origins[selected], index, rows, column);
         }
         Ok(())
@@ -242,36 +239,16 @@ fn describe(contents: &header::Contents) -> String {
     words
 }
 
-impl PointSource for E57Source {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.count)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(self.pages.path())
-    }
-
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
-    }
-
+impl RecordReader for E57Reader {
     fn memory_needed(&self) -> u64 {
         // A buffer grows by doubling. A packet has at most 64 KiB.
         2 * (KEPT_LIMIT as u64 + (64 << 10)) + BUFFER_BYTES + (self.raw.len() * ROWS * 8) as u64
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
-        while batch.len() < limit {
-            if self.left == 0 && !self.next_scan()? {
-                break;
-            }
-            self.append(batch, limit - batch.len())?;
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        if self.left == 0 && !self.next_scan()? {
+            return Ok(());
         }
-        Ok(())
+        self.append(request, batch)
     }
 }

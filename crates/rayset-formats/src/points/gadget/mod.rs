@@ -11,10 +11,9 @@ mod blocks;
 use std::path::{Path, PathBuf};
 
 use self::blocks::{Block, GadgetFile, Header, TYPES};
-use super::particles;
-use super::{
-    ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, Values, roles, siblings,
-};
+use super::file_source::{FileSource, RecordReader, Request};
+use super::particles::{self, Census};
+use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, ReadError, Schema, Values, roles, siblings};
 
 /// Rows that are read at once.
 const ROWS: u64 = 1 << 14;
@@ -36,14 +35,10 @@ enum Supply {
 }
 
 /// The particles of a snapshot.
-pub(super) struct GadgetSource {
-    files: Vec<PathBuf>,
+pub(super) struct GadgetReader {
     types: Vec<usize>,
     supplies: Vec<Supply>,
-    schema: Schema,
-    count: u64,
-    selected: Vec<usize>,
-    /// The file and the type that are read next: indices of `files` and `types`.
+    /// The file and the type that are read next: indices of the files and of `types`.
     next: (usize, usize),
     open: Option<GadgetFile>,
     /// Rows of the current type that were delivered.
@@ -52,51 +47,39 @@ pub(super) struct GadgetSource {
     second: Vec<u8>,
 }
 
-impl GadgetSource {
+impl GadgetReader {
     /// Opens all files of the snapshot to which a file belongs.
-    pub(super) fn open(path: &Path, wanted: Option<&[String]>) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path, wanted: Option<&[String]>) -> Result<FileSource<Self>, ReadError> {
         let first = GadgetFile::open(path)?;
         let files = siblings::of(path, first.header.files, "")?;
-        let mut counts = [0_u64; TYPES];
-        let mut samples: [Option<usize>; TYPES] = [None; TYPES];
-        for (index, path) in files.iter().enumerate() {
-            let file = GadgetFile::open(path)?;
-            for kind in 0..TYPES {
-                counts[kind] = counts[kind].saturating_add(file.header.counts[kind]);
-                if file.header.counts[kind] > 0 && samples[kind].is_none() {
-                    samples[kind] = Some(index);
-                }
-            }
-        }
-        let types = particles::chosen(path, wanted, &counts)?;
+        let census = Census::take(&files, |path| Ok(GadgetFile::open(path)?.header.counts))?;
+        let types = particles::chosen(path, wanted, &census.counts)?;
         let mut seen: Vec<(usize, GadgetFile)> = Vec::new();
         for &kind in &types {
-            seen.push((kind, GadgetFile::open(&files[samples[kind].unwrap_or(0)])?));
+            seen.push((kind, GadgetFile::open(census.sample(&files, kind))?));
         }
         let (columns, supplies): (Vec<ColumnInfo>, Vec<Supply>) = columns(&seen).into_iter().unzip();
         let mut schema = Schema::new(columns, ColorDepth::Guess);
-        schema.description = description(&first, &types, &counts, supplies.contains(&Supply::Radius));
-        Ok(Self {
-            files,
+        schema.description = description(&first, &types, &census.counts, supplies.contains(&Supply::Radius));
+        let count = census.total(&types);
+        let reader = Self {
             supplies,
-            schema,
-            count: types.iter().fold(0, |all, &kind| all.saturating_add(counts[kind])),
             types,
-            selected: Vec::new(),
             next: (0, 0),
             open: None,
             row: 0,
             scratch: Vec::new(),
             second: Vec::new(),
-        })
+        };
+        Ok(FileSource::of_files(files, schema, Some(count), reader))
     }
 
     /// Goes to the next type with particles that have not been delivered. Returns it with the
     /// number of its rows. `None` at the end.
-    fn advance(&mut self) -> Result<Option<(usize, u64)>, ReadError> {
+    fn advance(&mut self, files: &[PathBuf]) -> Result<Option<(usize, u64)>, ReadError> {
         loop {
             let (file, place) = self.next;
-            let Some(path) = self.files.get(file) else { return Ok(None) };
+            let Some(path) = files.get(file) else { return Ok(None) };
             let Some(&kind) = self.types.get(place) else {
                 (self.next, self.open, self.row) = ((file + 1, 0), None, 0);
                 continue;
@@ -113,7 +96,13 @@ impl GadgetSource {
     }
 
     /// Appends `count` rows of a type to the batch.
-    fn append(&mut self, batch: &mut PointBatch, kind: usize, count: usize) -> Result<(), ReadError> {
+    fn append(
+        &mut self,
+        selected: &[usize],
+        kind: usize,
+        count: usize,
+        batch: &mut PointBatch,
+    ) -> Result<(), ReadError> {
         let Some(file) = &self.open else { return Ok(()) };
         let row = self.row;
         let load = |block: &Block, bytes: &mut Vec<u8>| {
@@ -126,7 +115,7 @@ impl GadgetSource {
             let (plain, bytes) = (block.plain, &self.scratch);
             batch.position.extend((0..count).map(|i| [0, 1, 2].map(|axis| plain.get(bytes, i, axis))));
         }
-        for (out, &index) in batch.columns.iter_mut().zip(&self.selected) {
+        for (out, &index) in batch.columns.iter_mut().zip(selected) {
             let supply = &self.supplies[index];
             let (mut masses, mut radii) = (None, None);
             if matches!(supply, Supply::Mass | Supply::Weight)
@@ -244,39 +233,15 @@ fn description(file: &GadgetFile, types: &[usize], counts: &[u64; TYPES], with_r
     words
 }
 
-impl PointSource for GadgetSource {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.count)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        self.files.first().map(PathBuf::as_path)
-    }
-
-    fn files(&self) -> Vec<PathBuf> {
-        self.files.clone()
-    }
-
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
-    }
-
+impl RecordReader for GadgetReader {
     fn memory_needed(&self) -> u64 {
         // Rows of up to three doubles, of two blocks.
         2 * 24 * ROWS
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
-        while batch.len() < limit {
-            let Some((kind, rows)) = self.advance()? else { return Ok(()) };
-            let count = (rows - self.row).min(ROWS).min((limit - batch.len()) as u64);
-            self.append(batch, kind, count as usize)?;
-        }
-        Ok(())
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        let Some((kind, rows)) = self.advance(request.files)? else { return Ok(()) };
+        let count = (rows - self.row).min(ROWS).min(request.most as u64);
+        self.append(request.selected, kind, count as usize, batch)
     }
 }

@@ -7,8 +7,8 @@
 //! Everything around the records is read here, because a length in a file is only a claim: each is
 //! checked against the file before it is used to allocate or to skip. Memory does not grow with the
 //! file, its extended records or its number of chunks. Only a chunk of points compressed in layers
-//! (point formats 6 to 10) is held as a whole, which [`memory_needed`](PointSource::memory_needed)
-//! includes.
+//! (point formats 6 to 10) is held as a whole, which
+//! [`memory_needed`](super::PointSource::memory_needed) includes.
 //!
 //! Not supported: waveforms, the hierarchy of COPC files (their points are read in file order), and
 //! LASzip's compatibility mode, in which points of formats 6 to 10 are stored as other formats;
@@ -26,7 +26,7 @@ mod trouble;
 mod words;
 
 use std::io::{Read, Seek, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use laz::DecompressionSelection as Layers;
 
@@ -36,6 +36,7 @@ use self::header::Header;
 use self::method::Method;
 use self::records::Records;
 use self::trouble::Trouble;
+use super::file_source::{FileSource, RecordReader, Request};
 use super::stretch::Stretch;
 use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema, quiet};
 use rayset_store::storage::input_file::Shared;
@@ -43,16 +44,20 @@ use rayset_store::storage::input_file::Shared;
 /// Bytes of records that are decoded at a time; a longer record is decoded on its own.
 const BLOCK_BYTES: usize = 128 << 10;
 
-/// The points of a LAS or LAZ file.
-pub struct LasSource {
-    path: PathBuf,
+/// Opens a LAS or LAZ file, whatever its coordinates are.
+///
+/// # Errors
+/// [`ReadError`] if the file cannot be opened, is truncated, or violates its format.
+pub fn open_las(path: &Path) -> Result<impl PointSource + use<>, ReadError> {
+    LasReader::open(path)
+}
+
+/// The records of a LAS or LAZ file.
+pub(super) struct LasReader {
     header: Header,
-    schema: Schema,
     fields: Vec<Field>,
-    selected: Vec<usize>,
     points: Points,
     block: Vec<u8>,
-    next: u64,
     /// The decompressor has panicked, and its state is unusable.
     is_broken: bool,
 }
@@ -62,13 +67,13 @@ enum Points {
     Compressed(Box<CompressedPoints>),
 }
 
-impl LasSource {
+impl LasReader {
     /// Opens a file, reads its header and variable length records, and checks them against the
     /// file.
     ///
     /// # Errors
     /// [`ReadError`] if the file cannot be opened, is truncated, or violates its format.
-    pub fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let failed = |source| ReadError::Io { path: path.to_owned(), source };
         let file = Shared::open(path).map_err(failed)?;
         let file_bytes = file.length().map_err(failed)?;
@@ -101,27 +106,19 @@ impl LasSource {
             step: Some(header.scale.map(f64::abs)).filter(|step| step.iter().all(|&v| v > 0.0)),
             ..Schema::new(fields.iter().map(|f| f.info.clone()).collect(), ColorDepth::Guess)
         };
-        Ok(Self {
-            path: path.to_owned(),
-            header,
-            schema,
-            fields,
-            selected: Vec::new(),
-            points,
-            block: Vec::new(),
-            next: 0,
-            is_broken: false,
-        })
+        let count = header.count;
+        let reader = Self { header, fields, points, block: Vec::new(), is_broken: false };
+        Ok(FileSource::new(path, schema, Some(count), reader))
     }
 
     /// Fills the block with the next `points` points.
-    fn read_block(&mut self, points: usize) -> Result<(), ReadError> {
+    fn read_block(&mut self, request: &Request<'_>, points: usize) -> Result<(), ReadError> {
         let record_bytes = self.header.record_bytes;
         self.block.resize(points * record_bytes, 0);
         let mut done = 0;
         let trouble = match &mut self.points {
             Points::Plain(stretch) => {
-                let byte = self.header.points_start + self.next * record_bytes as u64;
+                let byte = self.header.points_start + request.first * record_bytes as u64;
                 let what = "the points end here, since the file was made shorter while it was read";
                 let read = stretch.read_exact(&mut self.block);
                 read.map_err(|e| Trouble::from_io(e, byte, what)).err()
@@ -137,21 +134,21 @@ impl LasSource {
             }
             Points::Compressed(compressed) => Some(damaged(compressed)),
         };
-        trouble.map_or(Ok(()), |trouble| Err(self.failed(trouble, done)))
+        trouble.map_or(Ok(()), |trouble| Err(failed(request, trouble, done as u64)))
     }
+}
 
-    /// The error of a block of which `done` points were read.
-    fn failed(&self, trouble: Trouble, done: usize) -> ReadError {
-        match trouble {
-            Trouble::Io(source) => ReadError::Io { path: self.path.clone(), source },
-            Trouble::Damaged { byte, what } => ReadError::Las {
-                path: self.path.clone(),
-                byte,
-                what,
-                read: self.next + done as u64,
-                count: self.header.count,
-            },
-        }
+/// The error of a request of which `done` points were read.
+fn failed(request: &Request<'_>, trouble: Trouble, done: u64) -> ReadError {
+    match trouble {
+        Trouble::Io(source) => ReadError::Io { path: request.path().to_owned(), source },
+        Trouble::Damaged { byte, what } => ReadError::Las {
+            path: request.path().to_owned(),
+            byte,
+            what,
+            read: request.first + done,
+            count: request.count,
+        },
     }
 }
 
@@ -181,27 +178,7 @@ fn is_in_degrees(header: &Header) -> bool {
     x.max(y) <= 1e-6 && z >= 1e-5 && offset[0].abs() <= 180.0 && offset[1].abs() <= 90.0
 }
 
-impl PointSource for LasSource {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.header.count)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(&self.path)
-    }
-
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
-        if let Points::Compressed(points) = &mut self.points {
-            let layers = columns.iter().map(|&column| self.fields[column].layers);
-            points.select(layers.fold(Layers::Z, |all, layers| all | layers));
-        }
-    }
-
+impl RecordReader for LasReader {
     fn memory_needed(&self) -> u64 {
         let block = self.header.record_bytes.max(BLOCK_BYTES) as u64;
         block
@@ -211,6 +188,13 @@ impl PointSource for LasSource {
             }
     }
 
+    fn select(&mut self, columns: &[usize]) {
+        if let Points::Compressed(points) = &mut self.points {
+            let layers = columns.iter().map(|&column| self.fields[column].layers);
+            points.select(layers.fold(Layers::Z, |all, layers| all | layers));
+        }
+    }
+
     fn can_skip(&self) -> bool {
         match &self.points {
             Points::Plain(_) => true,
@@ -218,8 +202,8 @@ impl PointSource for LasSource {
         }
     }
 
-    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
-        let count = count.min(self.header.count - self.next);
+    fn skip(&mut self, request: &Request<'_>) -> Result<bool, ReadError> {
+        let count = request.most as u64;
         let trouble = match &mut self.points {
             Points::Plain(stretch) => {
                 let bytes = count.saturating_mul(self.header.record_bytes as u64) as i64;
@@ -233,30 +217,22 @@ impl PointSource for LasSource {
                 }
             },
         };
-        self.next += count;
-        trouble.map_or(Ok(()), |trouble| Err(self.failed(trouble, 0)))
+        trouble.map_or(Ok(true), |trouble| Err(failed(request, trouble, count)))
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
         let record_bytes = self.header.record_bytes;
-        let left = usize::try_from(self.header.count - self.next).unwrap_or(usize::MAX);
-        let mut wanted = left.min(limit);
-        while wanted > 0 {
-            let points = wanted.min((BLOCK_BYTES / record_bytes).max(1));
-            self.read_block(points)?;
-            let (scale, offset) = (self.header.scale, self.header.offset);
-            batch.position.extend(self.block.chunks_exact(record_bytes).map(|record| {
-                std::array::from_fn(|axis| {
-                    let steps = i32::from_le_bytes(std::array::from_fn(|i| record[4 * axis + i]));
-                    scale[axis] * f64::from(steps) + offset[axis]
-                })
-            }));
-            for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
-                self.fields[index].append(&self.block, record_bytes, column);
-            }
-            self.next += points as u64;
-            wanted -= points;
+        let points = request.most.min((BLOCK_BYTES / record_bytes).max(1));
+        self.read_block(request, points)?;
+        let (scale, offset) = (self.header.scale, self.header.offset);
+        batch.position.extend(self.block.chunks_exact(record_bytes).map(|record| {
+            std::array::from_fn(|axis| {
+                let steps = i32::from_le_bytes(std::array::from_fn(|i| record[4 * axis + i]));
+                scale[axis] * f64::from(steps) + offset[axis]
+            })
+        }));
+        for (column, &index) in batch.columns.iter_mut().zip(request.selected) {
+            self.fields[index].append(&self.block, record_bytes, column);
         }
         Ok(())
     }

@@ -9,7 +9,7 @@ mod sample;
 mod stl;
 mod triangles;
 
-pub(super) use self::obj_points::ObjSource;
+pub(super) use self::obj_points::ObjPointReader;
 pub(super) use self::off::begins as begins_as_off;
 pub(super) use self::sample::MeshFormat;
 pub use self::sample::MeshSource;

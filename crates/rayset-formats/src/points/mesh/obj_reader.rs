@@ -39,10 +39,6 @@ impl ObjReader {
         Ok(Self { lines, line: Vec::new(), vertices: 0, corners: Vec::new(), farthest: None })
     }
 
-    pub(super) fn path(&self) -> &Path {
-        self.lines.path()
-    }
-
     /// The next vertex or face, or others, if there are many before it; `None` at the end.
     pub(super) fn next(&mut self) -> Result<Option<Statement<'_>>, ReadError> {
         for _ in 0..OTHERS {

@@ -17,11 +17,12 @@ mod array;
 mod layout;
 
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use self::array::{Strand, column_bytes, dimensions};
 use self::layout::{Layout, Source};
-use super::{ColumnType, Place, PointBatch, PointSource, ReadError, Schema, Values};
+use super::file_source::{FileSource, RecordReader, Request, set_axis};
+use super::{Place, PointBatch, ReadError, Values};
 use crate::array_file::{Array, Fault, Header, MAGIC, Member, begins_with_array, text_place};
 
 /// Bytes that are read at once, of all strands together; one row of each where that is more.
@@ -42,21 +43,16 @@ pub(super) fn begins(head: &[u8]) -> bool {
 }
 
 /// The points of a file of arrays.
-pub(super) struct NpySource {
-    path: PathBuf,
+pub(super) struct NpyReader {
     strands: Vec<Strand>,
     axes: [Source; 3],
     columns: Vec<Source>,
-    schema: Schema,
-    rows: u64,
-    next: u64,
-    selected: Vec<usize>,
 }
 
-impl NpySource {
+impl NpyReader {
     /// Opens a file. `names` are those of all columns: of a plain array, or of the fields or arrays
     /// that have a row a point.
-    pub(super) fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path, names: Option<&[String]>) -> Result<FileSource<Self>, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let of_fault = |fault: Fault| match fault {
             Fault::Io(source) => io(source),
@@ -74,21 +70,12 @@ impl NpySource {
             Layout::of_archive(path, &arrays, names)
         };
         let Layout { strands, axes, columns, schema, rows } = layout.map_err(of_fault)?;
-        Ok(Self {
-            path: path.to_owned(),
-            strands,
-            axes,
-            columns,
-            schema,
-            rows,
-            next: 0,
-            selected: Vec::new(),
-        })
+        Ok(FileSource::new(path, schema, Some(rows), Self { strands, axes, columns }))
     }
 
     /// The strands that positions and the selected columns need.
-    fn used(&self) -> Vec<usize> {
-        let columns = self.selected.iter().map(|&index| &self.columns[index]);
+    fn used(&self, selected: &[usize]) -> Vec<usize> {
+        let columns = selected.iter().map(|&index| &self.columns[index]);
         let mut used: Vec<usize> = self.axes.iter().chain(columns).map(|source| source.strand).collect();
         used.sort_unstable();
         used.dedup();
@@ -104,23 +91,7 @@ fn append(strand: &Strand, source: &Source, out: &mut Values) {
     }
 }
 
-impl PointSource for NpySource {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.rows)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(&self.path)
-    }
-
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
-    }
-
+impl RecordReader for NpyReader {
     fn memory_needed(&self) -> u64 {
         STEP_BYTES as u64 + STRAND_BYTES * self.strands.len() as u64
     }
@@ -129,42 +100,30 @@ impl PointSource for NpySource {
         self.strands.iter().all(Strand::can_skip)
     }
 
-    fn skip(&mut self, count: u64) -> Result<(), ReadError> {
-        self.next += count.min(self.rows - self.next);
+    fn skip(&mut self, _: &Request<'_>) -> Result<bool, ReadError> {
         // They begin again at the next row.
         self.strands.iter_mut().for_each(Strand::close);
-        Ok(())
+        Ok(true)
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
-        let used = self.used();
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        let used = self.used(request.selected);
         let together: usize = used.iter().map(|&strand| self.strands[strand].row_bytes).sum();
-        let step = (STEP_BYTES / together.max(1)).max(1);
-        let mut axis_values = Values::empty(ColumnType::F64);
-        while batch.len() < limit && self.next < self.rows {
-            let count = (self.rows - self.next).min(step as u64).min((limit - batch.len()) as u64) as usize;
-            for &strand in &used {
-                let read = self.strands[strand].load(&self.path, self.next, count);
-                read.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
-            }
-            let first = batch.len();
-            batch.position.resize(first + count, [0.0; 3]);
-            for (axis, source) in self.axes.iter().enumerate() {
-                if axis_values.kind() != source.column_type() {
-                    axis_values = Values::empty(source.column_type());
-                }
-                axis_values.clear();
-                append(&self.strands[source.strand], source, &mut axis_values);
-                for (i, position) in batch.position[first..].iter_mut().enumerate() {
-                    position[axis] = axis_values.get(i);
-                }
-            }
-            for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
-                let source = &self.columns[index];
-                append(&self.strands[source.strand], source, column);
-            }
-            self.next += count as u64;
+        let count = request.most.min((STEP_BYTES / together.max(1)).max(1));
+        for &strand in &used {
+            let read = self.strands[strand].load(request.path(), request.first, count);
+            read.map_err(|source| ReadError::Io { path: request.path().to_owned(), source })?;
+        }
+        let first = batch.len();
+        batch.position.resize(first + count, [0.0; 3]);
+        for (axis, source) in self.axes.iter().enumerate() {
+            let mut values = Values::empty(source.column_type());
+            append(&self.strands[source.strand], source, &mut values);
+            set_axis(batch, first, axis, (0..count).map(|i| values.get(i)));
+        }
+        for (column, &index) in batch.columns.iter_mut().zip(request.selected) {
+            let source = &self.columns[index];
+            append(&self.strands[source.strand], source, column);
         }
         Ok(())
     }

@@ -12,14 +12,15 @@ mod text;
 mod transposed;
 
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use self::columns::{Columns, Origin};
 use self::header::{Data, Field, Header};
 use self::transposed::Transposed;
+use super::file_source::{FileSource, RecordReader, Request, set_axis};
 use super::lines::Lines;
 use super::stream::Stream;
-use super::{Place, PointBatch, PointSource, ReadError, Schema};
+use super::{Place, PointBatch, ReadError};
 
 /// Bytes of records that are decoded at a time; a longer record is decoded on its own.
 const BLOCK_BYTES: usize = 128 << 10;
@@ -32,18 +33,16 @@ pub(super) fn begins(head: &[u8]) -> bool {
     head.starts_with(b"# .PCD") || (head.starts_with(b"VERSION") && lines(b"FIELDS") && lines(b"DATA"))
 }
 
-/// The points of a PCD file.
-pub(super) struct PcdSource {
-    path: PathBuf,
+/// The records of a PCD file.
+pub(super) struct PcdReader {
     fields: Vec<Field>,
     /// Byte at which each field begins in a record, and the bytes of a record.
     starts: Vec<usize>,
     stride: usize,
     header_bytes: u64,
-    count: u64,
-    next: u64,
-    columns: Columns,
-    selected: Vec<usize>,
+    axes: [Origin; 3],
+    /// Where each column of the schema is.
+    origins: Vec<Origin>,
     body: Body,
     /// Records that are decoded.
     block: Vec<u8>,
@@ -56,21 +55,21 @@ enum Body {
     Compressed(Transposed),
 }
 
-impl PcdSource {
+impl PcdReader {
     /// Opens a file and reads its header; compressed points are decoded once.
     ///
     /// # Errors
     /// [`ReadError`] if the file cannot be read, violates its format, or has no x, y and z.
-    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         Self::of(Stream::open(path)?)
     }
 
     /// The points of a stream.
-    pub(super) fn of(mut input: Stream) -> Result<Self, ReadError> {
+    pub(super) fn of(mut input: Stream) -> Result<FileSource<Self>, ReadError> {
         let path = input.path().to_owned();
         let header = Header::read(&mut input)?;
         let fail = |what: String| ReadError::malformed(&path, Place::Line(header.lines), what);
-        let columns = Columns::new(&header).map_err(fail)?;
+        let Columns { schema, axes, origins } = Columns::new(&header).map_err(fail)?;
         let starts = header.fields.iter().scan(0, |end, field| {
             *end += field.bytes();
             Some(*end - field.bytes())
@@ -95,35 +94,34 @@ impl PcdSource {
                 return Err(fail(what));
             }
         };
-        Ok(Self {
-            path,
+        let reader = Self {
             starts,
             stride,
             header_bytes: header.bytes,
-            count: header.points,
-            next: 0,
-            columns,
-            selected: Vec::new(),
+            axes,
+            origins,
             body,
             block: Vec::new(),
             memory,
             fields: header.fields,
-        })
+        };
+        Ok(FileSource::new(&path, schema, Some(header.points), reader))
     }
 
     /// Reads the next `rows` records into the block.
-    fn read_block(&mut self, rows: usize) -> Result<(), ReadError> {
+    fn read_block(&mut self, request: &Request<'_>, rows: usize) -> Result<(), ReadError> {
         self.block.clear();
         match &mut self.body {
             Body::Binary(input) => {
                 let wanted = rows * self.stride;
                 let read = input.by_ref().take(wanted as u64).read_to_end(&mut self.block);
-                let read = read.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
+                let read =
+                    read.map_err(|source| ReadError::Io { path: request.path().to_owned(), source })?;
                 if read < wanted {
-                    let whole = self.next + (read / self.stride) as u64;
-                    let end = self.header_bytes + self.next * self.stride as u64 + read as u64;
-                    let what = format!("the file ends early: {whole} of {} points read", self.count);
-                    return Err(ReadError::malformed(&self.path, Place::Byte(end), what));
+                    let whole = request.first + (read / self.stride) as u64;
+                    let end = self.header_bytes + request.first * self.stride as u64 + read as u64;
+                    let what = format!("the file ends early: {whole} of {} points read", request.count);
+                    return Err(ReadError::malformed(request.path(), Place::Byte(end), what));
                 }
             }
             Body::Ascii(lines) => {
@@ -133,8 +131,9 @@ impl PcdSource {
                     while line.trim_ascii().is_empty() {
                         line.clear();
                         if !lines.append(&mut line)? {
-                            let read = self.next + row as u64;
-                            let what = format!("the file ends early: {read} of {} points read", self.count);
+                            let read = request.first + row as u64;
+                            let what =
+                                format!("the file ends early: {read} of {} points read", request.count);
                             return Err(lines.fail(what));
                         }
                     }
@@ -149,11 +148,16 @@ impl PcdSource {
 
     /// The bytes in which a field of the current `rows` points is, its start in them, and the bytes
     /// to the next.
-    fn bytes(&mut self, origin: Origin, rows: usize) -> Result<(&[u8], usize, usize), ReadError> {
+    fn bytes(
+        &mut self,
+        request: &Request<'_>,
+        origin: Origin,
+        rows: usize,
+    ) -> Result<(&[u8], usize, usize), ReadError> {
         let field = origin.field;
         match &mut self.body {
             Body::Compressed(points) => {
-                let bytes = points.read(&self.path, field, self.next, rows)?;
+                let bytes = points.read(request.path(), field, request.first, rows)?;
                 Ok((bytes, 0, self.fields[field].bytes()))
             }
             _ => Ok((&self.block, self.starts[field], self.stride)),
@@ -161,52 +165,30 @@ impl PcdSource {
     }
 }
 
-impl PointSource for PcdSource {
-    fn schema(&self) -> &Schema {
-        &self.columns.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.count)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(&self.path)
-    }
-
+impl RecordReader for PcdReader {
     fn memory_needed(&self) -> u64 {
         self.memory
     }
 
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        let rows = request.most.min((BLOCK_BYTES / self.stride).max(1));
+        self.read_block(request, rows)?;
+        let first = batch.len();
+        batch.position.resize(first + rows, [0.0; 3]);
+        for axis in 0..3 {
+            let origin = self.axes[axis];
+            let (bytes, start, stride) = self.bytes(request, origin, rows)?;
+            set_axis(batch, first, axis, origin.coordinates(bytes, start, stride, rows));
+        }
+        for (column, &index) in batch.columns.iter_mut().zip(request.selected) {
+            let origin = self.origins[index];
+            let (bytes, start, stride) = self.bytes(request, origin, rows)?;
+            origin.append(bytes, start, stride, rows, column);
+        }
+        Ok(())
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.columns.schema, &self.selected);
-        let mut left = (self.count - self.next).min(limit as u64) as usize;
-        while left > 0 {
-            let rows = left.min((BLOCK_BYTES / self.stride).max(1));
-            self.read_block(rows)?;
-            let first = batch.len();
-            batch.position.resize(first + rows, [0.0; 3]);
-            for axis in 0..3 {
-                let origin = self.columns.axes[axis];
-                let (bytes, start, stride) = self.bytes(origin, rows)?;
-                let numbers = origin.coordinates(bytes, start, stride, rows);
-                batch.position[first..].iter_mut().zip(numbers).for_each(|(p, v)| p[axis] = v);
-            }
-            for (place, column) in batch.columns.iter_mut().enumerate() {
-                let origin = self.columns.origins[self.selected[place]];
-                let (bytes, start, stride) = self.bytes(origin, rows)?;
-                origin.append(bytes, start, stride, rows, column);
-            }
-            self.next += rows as u64;
-            left -= rows;
-        }
-        if self.next < self.count {
-            return Ok(());
-        }
+    fn finish(&mut self) -> Result<(), ReadError> {
         match &mut self.body {
             Body::Ascii(lines) => lines.check_rest(),
             Body::Binary(input) => input.check_rest(),

@@ -13,14 +13,15 @@ mod other;
 mod table;
 mod units;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use self::hdf5::File;
 use self::header::Header;
 use self::layout::{Radius, Supply, TypeLayout};
 use self::table::{Blocks, Table};
-use super::particles::{self, MOST_TYPES};
-use super::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema, Values, reading, siblings};
+use super::file_source::{FileSource, RecordReader, Request};
+use super::particles::{self, Census};
+use super::{ColorDepth, Place, PointBatch, ReadError, Schema, Values, reading, siblings};
 
 /// Memory in bytes for blocks of datasets. Where their chunks are larger together, they are decoded
 /// more than once.
@@ -30,17 +31,13 @@ const BLOCKS_BYTES: u64 = 48 << 20;
 const COPIES_OF_A_CHUNK: u64 = 3;
 
 /// The particles of a snapshot.
-pub(super) struct SnapshotSource {
-    files: Vec<PathBuf>,
+pub(super) struct SnapshotReader {
     types: Vec<TypeLayout>,
     supplies: Vec<Supply>,
     /// Which of the three coordinates are x, y and z.
     axes: [usize; 3],
-    schema: Schema,
-    count: u64,
-    selected: Vec<usize>,
     memory: u64,
-    /// The file and the type that are read next: indices of `files` and `types`.
+    /// The file and the type that are read next: indices of the files and of `types`.
     next: (usize, usize),
     open: Option<Part>,
 }
@@ -56,14 +53,14 @@ struct Part {
     row: u64,
 }
 
-impl SnapshotSource {
+impl SnapshotReader {
     /// Opens all files of the snapshot to which a file belongs. `names` are those of positions and
     /// all columns.
     pub(super) fn open(
         path: &Path,
         wanted: Option<&[String]>,
         names: Option<&[String]>,
-    ) -> Result<Self, ReadError> {
+    ) -> Result<FileSource<Self>, ReadError> {
         let file = File::open(path)?;
         let header = Header::read(&file)?;
         if header.is_virtual {
@@ -75,51 +72,38 @@ impl SnapshotSource {
         drop(file);
         let extension = path.extension().map_or_else(String::new, |e| format!(".{}", e.to_string_lossy()));
         let files = siblings::of(path, header.files, &extension)?;
-        let mut counts = [0_u64; MOST_TYPES];
-        // The first file that has particles of a type says which datasets it has.
-        let mut samples: [Option<usize>; MOST_TYPES] = [None; MOST_TYPES];
-        for (index, path) in files.iter().enumerate() {
-            let here = layout::counts(&File::open(path)?)?.unwrap_or_default();
-            for kind in 0..MOST_TYPES {
-                counts[kind] = counts[kind].saturating_add(here[kind]);
-                if here[kind] > 0 && samples[kind].is_none() {
-                    samples[kind] = Some(index);
-                }
-            }
-        }
-        let chosen = particles::chosen(path, wanted, &counts)?;
+        let census =
+            Census::take(&files, |path| Ok(layout::counts(&File::open(path)?)?.unwrap_or_default()))?;
+        let chosen = particles::chosen(path, wanted, &census.counts)?;
         let mut types = Vec::new();
         for &kind in &chosen {
-            let file = File::open(&files[samples[kind].unwrap_or(0)])?;
+            let file = File::open(census.sample(&files, kind))?;
             types.push(TypeLayout::read(&file, &header, kind)?);
         }
         let named = layout::renamed(layout::columns(&types), names);
         let named = named.map_err(|what| ReadError::malformed(path, Place::Byte(0), what))?;
         let (columns, supplies) = named.columns.into_iter().unzip();
         let mut schema = Schema::new(columns, ColorDepth::Guess);
-        schema.description = layout::description(&header, &types, &counts);
+        schema.description = layout::description(&header, &types, &census.counts);
         let by = if names.is_some() { reading::BY_OPTION } else { "the names of datasets" };
         reading::note(&mut schema, &named.all, named.axes, by);
         let largest = types.iter().map(|layout| layout.largest_chunk).max().unwrap_or(0);
         let blocks = types.iter().map(|layout| layout.all_blocks).max().unwrap_or(0);
-        Ok(Self {
-            files,
+        let reader = Self {
             supplies,
             axes: named.axes,
-            schema,
-            count: chosen.iter().fold(0, |all, &kind| all.saturating_add(counts[kind])),
-            selected: Vec::new(),
             memory: (1 << 20) + blocks.min(BLOCKS_BYTES) + COPIES_OF_A_CHUNK * largest,
             next: (0, 0),
             open: None,
             types,
-        })
+        };
+        Ok(FileSource::of_files(files, schema, Some(census.total(&chosen)), reader))
     }
 
     /// The names of the datasets of a type that the selected columns need, without positions.
-    fn needed(&self, layout: &TypeLayout) -> Vec<String> {
+    fn needed(&self, selected: &[usize], layout: &TypeLayout) -> Vec<String> {
         let mut names: Vec<String> = Vec::new();
-        for &column in &self.selected {
+        for &column in selected {
             let needed = match &self.supplies[column] {
                 Supply::Stored(name, _) => vec![name.as_str()],
                 Supply::Mass => layout.mass_tables(),
@@ -137,8 +121,8 @@ impl SnapshotSource {
     }
 
     /// Opens the next type in this file, or in the next. `None` after the last.
-    fn next_part(&mut self) -> Result<Option<Part>, ReadError> {
-        while let Some(path) = self.files.get(self.next.0) {
+    fn next_part(&mut self, request: &Request<'_>) -> Result<Option<Part>, ReadError> {
+        while let Some(path) = request.files.get(self.next.0) {
             let Some(layout) = self.types.get(self.next.1) else {
                 self.next = (self.next.0 + 1, 0);
                 continue;
@@ -152,7 +136,7 @@ impl SnapshotSource {
             }
             let (_, there) = file.names(&group)?;
             let mut tables = Vec::new();
-            for name in self.needed(layout) {
+            for name in self.needed(request.selected, layout) {
                 // What one type has another may lack.
                 if !there.contains(&name) {
                     continue;
@@ -250,47 +234,24 @@ impl Part {
     }
 }
 
-impl PointSource for SnapshotSource {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.count)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        self.files.first().map(PathBuf::as_path)
-    }
-
-    fn files(&self) -> Vec<PathBuf> {
-        self.files.clone()
-    }
-
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
-    }
-
+impl RecordReader for SnapshotReader {
     fn memory_needed(&self) -> u64 {
         self.memory
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
-        while batch.len() < limit {
-            if self.open.as_ref().is_none_or(|part| part.row == part.rows) {
-                self.open = None;
-                self.open = self.next_part()?;
-            }
-            let Some(part) = &mut self.open else { return Ok(()) };
-            let count = part.load()?.min((limit - batch.len()) as u64) as usize;
-            let position = |row| self.axes.map(|axis| part.positions.get(row, axis));
-            batch.position.extend((part.row..part.row + count as u64).map(position));
-            for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
-                part.append(&self.types[part.kind], &self.supplies[index], count, column);
-            }
-            part.row += count as u64;
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        if self.open.as_ref().is_none_or(|part| part.row == part.rows) {
+            self.open = None;
+            self.open = self.next_part(request)?;
         }
+        let Some(part) = &mut self.open else { return Ok(()) };
+        let count = part.load()?.min(request.most as u64) as usize;
+        let position = |row| self.axes.map(|axis| part.positions.get(row, axis));
+        batch.position.extend((part.row..part.row + count as u64).map(position));
+        for (column, &index) in batch.columns.iter_mut().zip(request.selected) {
+            part.append(&self.types[part.kind], &self.supplies[index], count, column);
+        }
+        part.row += count as u64;
         Ok(())
     }
 }

@@ -5,11 +5,12 @@
 
 use std::path::Path;
 
-use super::gaussian::{Gaussian, GaussianColumns, unit};
+use super::gaussian::{self, Gaussian, unit};
 use super::ply::UP;
+use crate::points::file_source::{FileSource, RecordReader, Request};
 use crate::points::ply_body::{Body, Part};
 use crate::points::ply_header::{Element, Header, Property, Scalar};
-use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
+use crate::points::{ColorDepth, Place, PointBatch, ReadError};
 
 /// Vertices that share a chunk.
 const CHUNK: u64 = 256;
@@ -80,14 +81,12 @@ impl<const N: usize> Records<N> {
 }
 
 /// The Gaussians of a compressed PLY file.
-#[derive(Debug)]
-pub(in crate::points) struct CompressedPlySource {
+pub(in crate::points) struct CompressedPlyReader {
     chunks: Records<18>,
     vertices: Records<3>,
-    columns: GaussianColumns,
 }
 
-impl CompressedPlySource {
+impl CompressedPlyReader {
     /// Whether vertices with these properties are packed Gaussians.
     pub(in crate::points) fn has_layout(names: &[&str]) -> bool {
         PACKED.iter().all(|packed| names.contains(packed))
@@ -97,7 +96,7 @@ impl CompressedPlySource {
     ///
     /// # Errors
     /// [`ReadError`] if the file cannot be read, or its chunks are missing or incomplete.
-    pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(in crate::points) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let (header, _) = Body::open(path)?;
         let fail = |what: String| ReadError::malformed(path, Place::Line(header.lines), what);
         let (chunk, vertex, view_dependent) = elements(&header).map_err(fail)?;
@@ -106,8 +105,8 @@ impl CompressedPlySource {
         let chunks = Records::open(path, chunk, BOUNDS, whole)?;
         let vertices = Records::open(path, vertex, PACKED, [0.0; 3])?;
         let what = format!("compressed {}", header.description);
-        let columns = GaussianColumns::new(&what, ColorDepth::Unit, view_dependent, UP);
-        Ok(Self { chunks, vertices, columns })
+        let schema = gaussian::schema(&what, ColorDepth::Unit, view_dependent, UP);
+        Ok(FileSource::new(path, schema, Some(vertex.count), Self { chunks, vertices }))
     }
 
     /// The vertex that was read last, with the bounds of its chunk.
@@ -168,41 +167,24 @@ fn three(packed: u32) -> [f64; 3] {
     [fraction(packed >> 21, 11), fraction(packed >> 11, 10), fraction(packed, 11)]
 }
 
-impl PointSource for CompressedPlySource {
-    fn schema(&self) -> &Schema {
-        &self.columns.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.vertices.element.count)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(self.vertices.body.path())
-    }
-
+impl RecordReader for CompressedPlyReader {
     fn memory_needed(&self) -> u64 {
         // The two read buffers.
         512 << 10
     }
 
-    fn select(&mut self, columns: &[usize]) {
-        self.columns.selected = columns.to_vec();
-    }
-
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.columns.schema, &self.columns.selected);
-        let count = (self.vertices.element.count - self.vertices.next).min(limit as u64);
-        for _ in 0..count {
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        for _ in 0..request.most {
             if self.vertices.next.is_multiple_of(CHUNK) {
                 self.chunks.advance()?;
             }
             self.vertices.advance()?;
-            self.columns.append(&self.gaussian(), batch);
-        }
-        if self.vertices.next == self.vertices.element.count {
-            self.vertices.body.check_rest()?;
+            self.gaussian().append(request.selected, batch);
         }
         Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), ReadError> {
+        self.vertices.body.check_rest()
     }
 }

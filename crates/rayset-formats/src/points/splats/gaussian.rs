@@ -16,6 +16,7 @@
 use std::f64::consts::TAU;
 
 use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, Schema};
+use rayset_base::geometry::DVec3;
 
 /// Radius of a point, in deviations of its Gaussian: where splat renderers cut it off, and where
 /// the kernel `gaussian`, whose deviation is a third of its radius, ends.
@@ -28,8 +29,10 @@ const HARMONIC: f64 = 0.282_094_791_773_878_14;
 const THOMSEN: f64 = 1.6075;
 
 /// The columns of every splat file, in this order.
-const NAMES: [&str; 9] =
+const NAMES: [&str; COLUMNS] =
     ["red", "green", "blue", "opacity", "radius", "weight", "scale_0", "scale_1", "scale_2"];
+/// Number of columns that every splat file has; those of its own come behind.
+pub(super) const COLUMNS: usize = 9;
 
 /// A Gaussian, decoded.
 #[derive(Clone, Copy, Debug)]
@@ -67,6 +70,17 @@ impl Gaussian {
             _ => self.deviations[index - 6],
         }
     }
+
+    /// Appends a point to a batch of the selected columns. Columns of the file's own are left to
+    /// the caller.
+    pub(super) fn append(&self, selected: &[usize], batch: &mut PointBatch) {
+        batch.position.push(self.position);
+        for (column, &index) in batch.columns.iter_mut().zip(selected) {
+            if index < COLUMNS {
+                column.push(self.value(index));
+            }
+        }
+    }
 }
 
 /// The constant part of a colour, 0 to 1, from its coefficient of the spherical harmonics.
@@ -79,54 +93,31 @@ pub(super) fn unit(value: f64) -> f64 {
     if value > 0.0 { value.min(1.0) } else { 0.0 }
 }
 
-/// The schema of a splat file, and the columns that are wanted.
-#[derive(Debug)]
-pub(super) struct GaussianColumns {
-    pub(super) schema: Schema,
-    pub(super) selected: Vec<usize>,
+/// The schema of a file that holds `what`, with colours of `depth`; `view_dependent` if these have
+/// coefficients besides the constant one.
+pub(super) fn schema(what: &str, depth: ColorDepth, view_dependent: bool, up: DVec3) -> Schema {
+    let of_color = if depth == ColorDepth::Byte { ColumnType::U8 } else { ColumnType::F32 };
+    let column = |(index, name): (usize, &&str)| {
+        ColumnInfo::new(*name, if index < 3 { of_color } else { ColumnType::F32 })
+    };
+    let mut schema = Schema::new(NAMES.iter().enumerate().map(column).collect(), depth);
+    let axis = match up.y {
+        y if y < 0.0 => "y down",
+        y if y > 0.0 => "y up",
+        _ => "z up",
+    };
+    schema.description = format!("{what}; Gaussian splats as round points, {axis}");
+    let colors = if view_dependent { ", and colours do not change with the view" } else { "" };
+    schema.warnings = vec![format!(
+        "Gaussian splats are read as round points of the same mean shadow: their ellipsoids are lost{colors}"
+    )];
+    schema.up = Some(up);
+    schema
 }
 
-impl GaussianColumns {
-    /// For files that hold `what`, with colours of `depth`; `view_dependent` if these have
-    /// coefficients besides the constant one.
-    pub(super) fn new(what: &str, depth: ColorDepth, view_dependent: bool, up: [f64; 3]) -> Self {
-        let of_color = if depth == ColorDepth::Byte { ColumnType::U8 } else { ColumnType::F32 };
-        let column = |(index, name): (usize, &&str)| {
-            ColumnInfo::new(*name, if index < 3 { of_color } else { ColumnType::F32 })
-        };
-        let mut schema = Schema::new(NAMES.iter().enumerate().map(column).collect(), depth);
-        let axis = match up {
-            [_, y, _] if y < 0.0 => "y down",
-            [_, y, _] if y > 0.0 => "y up",
-            _ => "z up",
-        };
-        schema.description = format!("{what}; Gaussian splats as round points, {axis}");
-        let colors = if view_dependent { ", and colours do not change with the view" } else { "" };
-        schema.warnings = vec![format!(
-            "Gaussian splats are read as round points of the same mean shadow: their ellipsoids are lost{colors}"
-        )];
-        schema.up = Some(up);
-        Self { schema, selected: Vec::new() }
-    }
-
-    /// Number of columns that every splat file has; those of its own come behind.
-    pub(super) const COUNT: usize = NAMES.len();
-
-    /// Whether every splat file has a column of this name.
-    pub(super) fn has(name: &str) -> bool {
-        NAMES.contains(&name)
-    }
-
-    /// Appends a point to a batch of the selected columns. Columns of the file's own are left to
-    /// the caller.
-    pub(super) fn append(&self, gaussian: &Gaussian, batch: &mut PointBatch) {
-        batch.position.push(gaussian.position);
-        for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
-            if index < Self::COUNT {
-                column.push(gaussian.value(index));
-            }
-        }
-    }
+/// Whether every splat file has a column of this name.
+pub(super) fn has(name: &str) -> bool {
+    NAMES.contains(&name)
 }
 
 #[cfg(test)]

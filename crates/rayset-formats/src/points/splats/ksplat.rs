@@ -3,13 +3,14 @@
 //! side.
 
 use std::io::{self, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::gaussian::{Gaussian, GaussianColumns};
+use super::gaussian::{self, Gaussian};
 use super::ksplat_header::{KsplatHeader, Level, Section};
 use super::ply::UP;
 use super::splat::floats;
-use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
+use crate::points::file_source::{FileSource, RecordReader, Request, unreadable};
+use crate::points::{ColorDepth, Place, PointBatch, ReadError};
 use rayset_base::numbers::half;
 use rayset_store::storage::input_file::InputFile;
 
@@ -30,13 +31,7 @@ impl Part {
         let skip = at.wrapping_sub(self.at) as i64;
         let read = self.input.seek_relative(skip).and_then(|()| self.input.read_exact(bytes));
         self.at = at + bytes.len() as u64;
-        read.map_err(|source| {
-            if source.kind() == io::ErrorKind::UnexpectedEof {
-                let what = "the file has become shorter than it was when it was opened";
-                return ReadError::malformed(path, Place::Byte(at), what);
-            }
-            ReadError::Io { path: path.to_owned(), source }
-        })
+        read.map_err(|source| unreadable(path, at, source))
     }
 }
 
@@ -51,8 +46,7 @@ struct Bucket {
 }
 
 /// The Gaussians of a `.ksplat` file.
-pub(in crate::points) struct KsplatSource {
-    path: PathBuf,
+pub(in crate::points) struct KsplatReader {
     header: KsplatHeader,
     headers: InputFile,
     sizes: Part,
@@ -65,24 +59,23 @@ pub(in crate::points) struct KsplatSource {
     start: u64,
     done: u64,
     bucket: Bucket,
-    columns: GaussianColumns,
 }
 
-impl KsplatSource {
+impl KsplatReader {
     /// Opens a file and checks its headers.
     ///
     /// # Errors
     /// [`ReadError`] if it cannot be read, or its headers do not agree with each other and its
     /// size.
-    pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(in crate::points) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let mut headers = InputFile::open(path).map_err(io)?;
         let bytes = headers.length().map_err(io)?;
         let header = KsplatHeader::read(path, &mut headers, bytes)?;
-        let columns = GaussianColumns::new("ksplat 0.1", ColorDepth::Byte, header.is_view_dependent, UP);
+        let schema = gaussian::schema("ksplat 0.1", ColorDepth::Byte, header.is_view_dependent, UP);
         let part = || Part::open(path).map_err(io);
-        Ok(Self {
-            path: path.to_owned(),
+        let count = header.count;
+        let reader = Self {
             headers,
             sizes: part()?,
             centers: part()?,
@@ -93,17 +86,17 @@ impl KsplatSource {
             done: 0,
             bucket: Bucket::default(),
             header,
-            columns,
-        })
+        };
+        Ok(FileSource::new(path, schema, Some(count), reader))
     }
 
     /// The section of the next Gaussian; `None` behind the last.
-    fn section(&mut self) -> Result<Option<Section>, ReadError> {
+    fn section(&mut self, path: &Path) -> Result<Option<Section>, ReadError> {
         while self.section.is_none_or(|section| self.done == section.count) {
             if self.begun == self.header.sections {
                 return Ok(None);
             }
-            let section = self.header.section(&self.path, &mut self.headers, self.begun, self.start)?;
+            let section = self.header.section(path, &mut self.headers, self.begun, self.start)?;
             self.start = section.end;
             self.begun += 1;
             (self.section, self.done, self.bucket) = (Some(section), 0, Bucket::default());
@@ -112,7 +105,7 @@ impl KsplatSource {
     }
 
     /// Moves on to the bucket of the next Gaussian.
-    fn advance_bucket(&mut self, section: &Section) -> Result<(), ReadError> {
+    fn advance_bucket(&mut self, path: &Path, section: &Section) -> Result<(), ReadError> {
         while self.bucket.left == 0 {
             let index = self.bucket.next;
             if index == section.buckets {
@@ -120,7 +113,7 @@ impl KsplatSource {
                     "the buckets of a section have only {} of its {} splats",
                     self.done, section.count
                 );
-                return Err(ReadError::malformed(&self.path, Place::Byte(section.sizes_at), what));
+                return Err(ReadError::malformed(path, Place::Byte(section.sizes_at), what));
             }
             self.bucket.left = match index.checked_sub(section.full_buckets) {
                 None => section.bucket_size,
@@ -129,13 +122,13 @@ impl KsplatSource {
                     let mut size = [0; 4];
                     // Buckets without a size are none.
                     if at < section.centers_at {
-                        self.sizes.read(&self.path, at, &mut size)?;
+                        self.sizes.read(path, at, &mut size)?;
                     }
                     u32::from_le_bytes(size).into()
                 }
             };
             let mut center = [0; 12];
-            self.centers.read(&self.path, section.centers_at + section.center_stride * index, &mut center)?;
+            self.centers.read(path, section.centers_at + section.center_stride * index, &mut center)?;
             self.bucket.center = floats(&center);
             self.bucket.next += 1;
         }
@@ -144,14 +137,14 @@ impl KsplatSource {
     }
 
     /// Reads the next Gaussian of a section.
-    fn gaussian(&mut self, section: &Section) -> Result<Gaussian, ReadError> {
+    fn gaussian(&mut self, path: &Path, section: &Section) -> Result<Gaussian, ReadError> {
         let mut record = [0; 44];
         let record = &mut record[..self.header.level.record_bytes() as usize];
-        self.records.read(&self.path, section.records_at + section.record_stride * self.done, record)?;
+        self.records.read(path, section.records_at + section.record_stride * self.done, record)?;
         let (position, deviations) = if self.header.level == Level::Full {
             (floats(record), floats(&record[12..]))
         } else {
-            self.advance_bucket(section)?;
+            self.advance_bucket(path, section)?;
             let short = |at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
             let steps = |axis: usize| f64::from(short(2 * axis)) - f64::from(section.range);
             (
@@ -165,33 +158,15 @@ impl KsplatSource {
     }
 }
 
-impl PointSource for KsplatSource {
-    fn schema(&self) -> &Schema {
-        &self.columns.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.header.count)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(&self.path)
-    }
-
+impl RecordReader for KsplatReader {
     fn memory_needed(&self) -> u64 {
         3 * BUFFER_BYTES as u64
     }
 
-    fn select(&mut self, columns: &[usize]) {
-        self.columns.selected = columns.to_vec();
-    }
-
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.columns.schema, &self.columns.selected);
-        while batch.len() < limit {
-            let Some(section) = self.section()? else { break };
-            let gaussian = self.gaussian(&section)?;
-            self.columns.append(&gaussian, batch);
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        for _ in 0..request.most {
+            let Some(section) = self.section(request.path())? else { break };
+            self.gaussian(request.path(), &section)?.append(request.selected, batch);
         }
         Ok(())
     }

@@ -11,8 +11,8 @@ mod spz;
 mod spz_header;
 mod spz_plane;
 
-pub(super) use self::compressed_ply::CompressedPlySource;
-pub(super) use self::ksplat::KsplatSource;
-pub(super) use self::ply::GaussianPlySource;
-pub(super) use self::splat::SplatSource;
-pub(super) use self::spz::SpzSource;
+pub(super) use self::compressed_ply::CompressedPlyReader;
+pub(super) use self::ksplat::KsplatReader;
+pub(super) use self::ply::GaussianPlyReader;
+pub(super) use self::splat::SplatReader;
+pub(super) use self::spz::SpzReader;

@@ -4,9 +4,11 @@
 
 use std::path::Path;
 
-use super::gaussian::{Gaussian, GaussianColumns, color_of_harmonic};
-use crate::points::ply::PlySource;
-use crate::points::{ColorDepth, PointBatch, PointSource, ReadError, Schema};
+use super::gaussian::{self, COLUMNS, Gaussian, color_of_harmonic};
+use crate::points::file_source::{FileSource, RecordReader, Request};
+use crate::points::ply::PlyReader;
+use crate::points::{ColorDepth, PointBatch, PointSource, ReadError};
+use rayset_base::geometry::DVec3;
 
 /// Gaussians decoded at a time.
 const CHUNK: usize = 4096;
@@ -14,22 +16,20 @@ const CHUNK: usize = 4096;
 const PARTS: [&str; 7] = ["f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
 /// Up in files of INRIA's trainer, whose cameras look along z with y down, if a file does not say
 /// otherwise.
-pub(super) const UP: [f64; 3] = [0.0, -1.0, 0.0];
+pub(super) const UP: DVec3 = DVec3::NEG_Y;
 
 /// The Gaussians of a PLY file.
-#[derive(Debug)]
-pub(in crate::points) struct GaussianPlySource {
-    file: PlySource,
+pub(in crate::points) struct GaussianPlyReader {
+    file: FileSource<PlyReader>,
     /// Indices of [`PARTS`] in the file's schema.
     parts: Vec<usize>,
     /// Indices of the further columns in the file's schema.
     others: Vec<usize>,
-    columns: GaussianColumns,
     /// Of the file: the parts, then the selected ones of the others.
     raw: PointBatch,
 }
 
-impl GaussianPlySource {
+impl GaussianPlyReader {
     /// Whether vertices with these properties are Gaussians.
     pub(in crate::points) fn has_layout(names: &[&str]) -> bool {
         PARTS[..PARTS.len() - 1].iter().all(|part| names.contains(part))
@@ -38,26 +38,26 @@ impl GaussianPlySource {
     /// Opens a file whose vertices [are Gaussians](Self::has_layout).
     ///
     /// # Errors
-    /// As [`PlySource::open`].
-    pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
-        let file = PlySource::open(path)?;
+    /// As [`PlyReader::open`].
+    pub(in crate::points) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
+        let file = PlyReader::open(path)?;
         let names: Vec<&str> = file.schema().names().collect();
         let parts: Vec<usize> =
             PARTS.iter().filter_map(|part| names.iter().position(|name| name == part)).collect();
         let is_harmonic = |name: &str| name.starts_with("f_rest_");
         // Normals are written as zeros.
         let is_left_out = |name: &str| is_harmonic(name) || matches!(name, "nx" | "ny" | "nz");
-        let is_own = |name: &str| !is_left_out(name) && !GaussianColumns::has(name);
+        let is_own = |name: &str| !is_left_out(name) && !gaussian::has(name);
         let others: Vec<usize> =
             (0..names.len()).filter(|index| !parts.contains(index) && is_own(names[*index])).collect();
         let what = file.schema().description.clone();
         let view_dependent = names.iter().any(|name| is_harmonic(name));
         let up = file.schema().up.unwrap_or(UP);
-        let mut columns = GaussianColumns::new(&what, ColorDepth::Unit, view_dependent, up);
-        columns.schema.columns.extend(others.iter().map(|&index| file.schema().columns[index].clone()));
-        let mut source = Self { file, parts, others, columns, raw: PointBatch::default() };
-        source.select(&[]);
-        Ok(source)
+        let mut schema = gaussian::schema(&what, ColorDepth::Unit, view_dependent, up);
+        schema.columns.extend(others.iter().map(|&index| file.schema().columns[index].clone()));
+        let count = file.count_hint();
+        let reader = Self { file, parts, others, raw: PointBatch::default() };
+        Ok(FileSource::new(path, schema, count, reader))
     }
 
     /// Gaussian `index` of the raw batch.
@@ -74,47 +74,28 @@ impl GaussianPlySource {
     }
 }
 
-impl PointSource for GaussianPlySource {
-    fn schema(&self) -> &Schema {
-        &self.columns.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        self.file.count_hint()
-    }
-
-    fn path(&self) -> Option<&Path> {
-        self.file.path()
-    }
-
+impl RecordReader for GaussianPlyReader {
     fn memory_needed(&self) -> u64 {
         let values = (3 + self.parts.len() + self.others.len()) as u64;
         self.file.memory_needed() + CHUNK as u64 * values * 8
     }
 
     fn select(&mut self, columns: &[usize]) {
-        self.columns.selected = columns.to_vec();
-        let others = columns.iter().filter_map(|index| index.checked_sub(GaussianColumns::COUNT));
+        let others = columns.iter().filter_map(|index| index.checked_sub(COLUMNS));
         let from_file: Vec<usize> =
             self.parts.iter().copied().chain(others.map(|other| self.others[other])).collect();
         self.file.select(&from_file);
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.columns.schema, &self.columns.selected);
-        while batch.len() < limit {
-            self.file.fill(&mut self.raw, CHUNK.min(limit - batch.len()))?;
-            if self.raw.is_empty() {
-                break;
-            }
-            for index in 0..self.raw.len() {
-                self.columns.append(&self.gaussian(index), batch);
-            }
-            let own = batch.columns.iter_mut().zip(&self.columns.selected);
-            let own = own.filter(|(_, index)| **index >= GaussianColumns::COUNT).map(|(column, _)| column);
-            for (to, from) in own.zip(&self.raw.columns[self.parts.len()..]) {
-                (0..from.len()).for_each(|index| to.push(from.get(index)));
-            }
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        self.file.fill(&mut self.raw, CHUNK.min(request.most))?;
+        for index in 0..self.raw.len() {
+            self.gaussian(index).append(request.selected, batch);
+        }
+        let own = batch.columns.iter_mut().zip(request.selected);
+        let own = own.filter(|(_, index)| **index >= COLUMNS).map(|(column, _)| column);
+        for (to, from) in own.zip(&self.raw.columns[self.parts.len()..]) {
+            (0..from.len()).for_each(|index| to.push(from.get(index)));
         }
         Ok(())
     }

@@ -3,16 +3,18 @@
 //! view-dependent colours are not read.
 
 use std::io::{Read, Seek, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use flate2::read::GzDecoder;
 
-use super::gaussian::{Gaussian, GaussianColumns, color_of_harmonic};
+use super::gaussian::{self, Gaussian, color_of_harmonic};
 use super::spz_header::{HEADER_BYTES, MAGIC, SpzHeader, StreamPlace};
 use super::spz_plane::{Packing, Plane, READER_BYTES};
+use crate::points::file_source::{FileSource, RecordReader, Request};
 use crate::points::packed::{WINDOW_LIMIT, zstd_window};
-use crate::points::{ColorDepth, Place, PointBatch, PointSource, ReadError, Schema};
+use crate::points::{ColorDepth, Place, PointBatch, ReadError};
 use rayset_base::cancel::CancelToken;
+use rayset_base::geometry::DVec3;
 use rayset_base::numbers::half;
 use rayset_store::storage::input_file::InputFile;
 
@@ -23,7 +25,7 @@ const CHUNK: usize = 1024;
 const ATTRIBUTES: usize = 4;
 const NAMES: [&str; ATTRIBUTES] = ["positions", "opacities", "colours", "scales"];
 /// Coordinates are right, up and back, as in OpenGL.
-const UP: [f64; 3] = [0.0, 1.0, 0.0];
+const UP: DVec3 = DVec3::Y;
 /// Colours are stored with this factor on the coefficient of the zeroth spherical harmonic.
 const COLOR_SCALE: f64 = 0.15;
 
@@ -37,20 +39,17 @@ enum Layout {
 }
 
 /// The Gaussians of an SPZ file.
-pub(in crate::points) struct SpzSource {
-    path: PathBuf,
+pub(in crate::points) struct SpzReader {
     header: SpzHeader,
     layout: Layout,
     /// Readers of the attributes, from the first read on.
     planes: Vec<Plane>,
-    next: u64,
-    columns: GaussianColumns,
     buffers: [Vec<u8>; ATTRIBUTES],
     /// Stops the unpacking of what lies before the attributes, and behind.
     cancel: CancelToken,
 }
 
-impl SpzSource {
+impl SpzReader {
     /// Whether a file that begins with these bytes is an SPZ file.
     pub(in crate::points) fn begins(head: &[u8]) -> bool {
         if !head.starts_with(&[0x1f, 0x8b]) {
@@ -64,7 +63,7 @@ impl SpzSource {
     ///
     /// # Errors
     /// [`ReadError`] if the file cannot be read, or is not an SPZ file of version 1 to 4.
-    pub(in crate::points) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(in crate::points) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let io = |source| ReadError::Io { path: path.to_owned(), source };
         let fail = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
         let mut file = InputFile::open(path).map_err(io)?;
@@ -87,48 +86,27 @@ impl SpzSource {
             Layout::Planar(packing)
         };
         let what = format!("SPZ {}", header.version);
-        let columns = GaussianColumns::new(&what, ColorDepth::Unit, header.is_view_dependent(), UP);
-        let buffers = Default::default();
-        Ok(Self {
-            path: path.to_owned(),
-            header,
-            layout,
-            planes: Vec::new(),
-            next: 0,
-            columns,
-            buffers,
-            cancel: CancelToken::new(),
-        })
+        let schema = gaussian::schema(&what, ColorDepth::Unit, header.is_view_dependent(), UP);
+        let (count, planes, cancel) = (header.count, Vec::new(), CancelToken::new());
+        let reader = Self { header, layout, planes, buffers: Default::default(), cancel };
+        Ok(FileSource::new(path, schema, Some(count), reader))
     }
 
     /// Opens a reader for each attribute.
-    fn open_planes(&mut self) -> Result<(), ReadError> {
+    fn open_planes(&mut self, path: &Path) -> Result<(), ReadError> {
         let mut skip = HEADER_BYTES as u64;
         for (attribute, width) in self.header.widths().into_iter().take(ATTRIBUTES).enumerate() {
             self.planes.push(match self.layout {
-                Layout::Planar(packing) => Plane::open(&self.path, packing, skip, &self.cancel)?,
+                Layout::Planar(packing) => Plane::open(path, packing, skip, &self.cancel)?,
                 Layout::Streams(streams) => {
                     // Without Gaussians, nothing is read.
                     let Some((place, window)) = streams[attribute] else { continue };
-                    Plane::open(&self.path, Packing::Zstd(place, window), 0, &self.cancel)?
+                    Plane::open(path, Packing::Zstd(place, window), 0, &self.cancel)?
                 }
             });
             skip += width * self.header.count;
         }
         Ok(())
-    }
-
-    /// Checks what is behind the last Gaussian.
-    fn finish(&mut self) -> Result<(), ReadError> {
-        let unread = match self.layout {
-            // One reader sees all that is left.
-            Layout::Planar(_) => {
-                self.planes.drain(..ATTRIBUTES - 1);
-                self.header.widths()[ATTRIBUTES..].iter().sum::<u64>() * self.header.count
-            }
-            Layout::Streams(_) => 0,
-        };
-        self.planes.iter_mut().try_for_each(|plane| plane.finish(unread))
     }
 
     /// Gaussian `index` of the buffers.
@@ -183,19 +161,7 @@ fn with_windows(
     Ok(all)
 }
 
-impl PointSource for SpzSource {
-    fn schema(&self) -> &Schema {
-        &self.columns.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.header.count)
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(&self.path)
-    }
-
+impl RecordReader for SpzReader {
     fn memory_needed(&self) -> u64 {
         let windows = match self.layout {
             Layout::Planar(_) => 0,
@@ -205,34 +171,34 @@ impl PointSource for SpzSource {
         ATTRIBUTES as u64 * READER_BYTES + 2 * windows
     }
 
-    fn select(&mut self, columns: &[usize]) {
-        self.columns.selected = columns.to_vec();
-    }
-
     fn watch(&mut self, cancel: &CancelToken) {
         self.cancel = cancel.clone();
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.columns.schema, &self.columns.selected);
-        let (count, widths) = (self.header.count, self.header.widths());
-        if self.next < count && self.planes.is_empty() {
-            self.open_planes()?;
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        if self.planes.is_empty() {
+            self.open_planes(request.path())?;
         }
-        while batch.len() < limit && self.next < count {
-            let chunk = (count - self.next).min(CHUNK.min(limit - batch.len()) as u64) as usize;
-            for (attribute, (plane, buffer)) in self.planes.iter_mut().zip(&mut self.buffers).enumerate() {
-                buffer.resize(chunk * widths[attribute] as usize, 0);
-                plane.read_exact(buffer, NAMES[attribute], self.next, count)?;
-            }
-            for index in 0..chunk {
-                self.columns.append(&self.gaussian(index), batch);
-            }
-            self.next += chunk as u64;
-            if self.next == count {
-                self.finish()?;
-            }
+        let (rows, widths) = (request.most.min(CHUNK), self.header.widths());
+        for (attribute, (plane, buffer)) in self.planes.iter_mut().zip(&mut self.buffers).enumerate() {
+            buffer.resize(rows * widths[attribute] as usize, 0);
+            plane.read_exact(buffer, NAMES[attribute], request.first, request.count)?;
+        }
+        for index in 0..rows {
+            self.gaussian(index).append(request.selected, batch);
         }
         Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), ReadError> {
+        let unread = match self.layout {
+            // One reader sees all that is left.
+            Layout::Planar(_) if !self.planes.is_empty() => {
+                self.planes.drain(..ATTRIBUTES - 1);
+                self.header.widths()[ATTRIBUTES..].iter().sum::<u64>() * self.header.count
+            }
+            _ => 0,
+        };
+        self.planes.iter_mut().try_for_each(|plane| plane.finish(unread))
     }
 }

@@ -35,13 +35,14 @@ use std::path::Path;
 use self::layout::Layout;
 use self::rows::{Progress, Separator, Splitter};
 use super::decimal_mark::{DecimalMark, NotANumber};
+use super::file_source::{FileSource, RecordReader, Request};
 use super::lines::Lines;
 use super::stream::Stream;
-use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, reading, roles};
+use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, ReadError, Schema, reading, roles};
+use rayset_base::geometry::DVec3;
 
 /// The points of a text file.
-#[derive(Debug)]
-pub struct TextSource {
+pub(super) struct TextReader {
     lines: Lines,
     separator: Separator,
     mark: DecimalMark,
@@ -52,8 +53,6 @@ pub struct TextSource {
     axes: [usize; 3],
     /// The index in a row of each column of the schema.
     places: Vec<usize>,
-    schema: Schema,
-    selected: Vec<usize>,
     scan: Option<Scan>,
     /// The line read last, and whether it has yet to be used.
     line: Vec<u8>,
@@ -72,18 +71,19 @@ struct Scan {
     line: u64,
 }
 
-impl TextSource {
+impl TextReader {
     /// Opens a file and determines its columns, from `names` if given.
     ///
     /// # Errors
     /// [`ReadError`] if the file cannot be read, contains no data, or its columns do not include x,
     /// y and z.
-    pub fn open(path: &Path, names: Option<&[String]>) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path, names: Option<&[String]>) -> Result<FileSource<Self>, ReadError> {
         Self::of(Stream::open(path)?, names)
     }
 
     /// The points of a stream.
-    pub(super) fn of(input: Stream, names: Option<&[String]>) -> Result<Self, ReadError> {
+    pub(super) fn of(input: Stream, names: Option<&[String]>) -> Result<FileSource<Self>, ReadError> {
+        let path = input.path().to_owned();
         let mut lines = Lines::of(input)?;
         let layout = Layout::find(&mut lines, names)?;
         let mut schema = Schema::new(Vec::new(), ColorDepth::Guess);
@@ -110,9 +110,9 @@ impl TextSource {
         }
         if layout.is_open_ended {
             // Of COLMAP, whose cameras have y down.
-            schema.up = Some([0.0, -1.0, 0.0]);
+            schema.up = Some(DVec3::NEG_Y);
         }
-        Ok(Self {
+        let reader = Self {
             lines,
             separator: layout.separator,
             mark: layout.mark,
@@ -120,15 +120,14 @@ impl TextSource {
             is_open_ended: layout.is_open_ended,
             axes: layout.axes,
             places,
-            schema,
-            selected: Vec::new(),
             scan: layout.count.map(|(claimed, line)| Scan { claimed, found: 0, line }),
             line: layout.first,
             is_held: true,
             row: Splitter::new(layout.separator),
             row_line: layout.first_line,
             first_line: layout.first_line,
-        })
+        };
+        Ok(FileSource::new(&path, schema, None, reader))
     }
 
     /// Reads and splits the next row. Returns false at the end of the file.
@@ -225,35 +224,20 @@ impl TextSource {
     }
 }
 
-impl PointSource for TextSource {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        None
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(self.lines.path())
-    }
-
+impl RecordReader for TextReader {
     fn memory_needed(&self) -> u64 {
         self.lines.memory_needed()
     }
 
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
-    }
-
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
-        while batch.len() < limit && self.next_row()? {
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        for _ in 0..request.most {
+            if !self.next_row()? {
+                break;
+            }
             let [x, y, z] = self.axes;
             let position = [self.number(x)?, self.number(y)?, self.number(z)?];
-            for target in 0..self.selected.len() {
-                let value = self.number(self.places[self.selected[target]])?;
-                batch.columns[target].push(value);
+            for (column, &index) in batch.columns.iter_mut().zip(request.selected) {
+                column.push(self.number(self.places[index])?);
             }
             batch.position.push(position);
         }

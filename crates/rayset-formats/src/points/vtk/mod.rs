@@ -12,12 +12,11 @@ mod words;
 mod xml;
 
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use self::part::{Part, Stored, VtkArray};
-use super::{
-    ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, PointSource, ReadError, Schema, Values, roles,
-};
+use super::file_source::{FileSource, RecordReader, Request, set_axis};
+use super::{ColorDepth, ColumnInfo, ColumnType, Place, PointBatch, ReadError, Schema, Values, roles};
 use crate::vtk_xml::Document;
 use rayset_base::text_numbers::{Behind, TextNumbers};
 use rayset_store::storage::input_file::InputFile;
@@ -46,23 +45,20 @@ struct Stream {
 }
 
 /// The points of a file.
-pub(super) struct VtkSource {
-    path: PathBuf,
+pub(super) struct VtkReader {
     /// Of a file in XML.
     document: Option<Document>,
     parts: Vec<Part>,
     /// The array, and the component of it, that is each column.
     columns: Vec<(usize, usize)>,
-    schema: Schema,
-    selected: Vec<usize>,
     streams: Vec<Stream>,
     /// The part that is read, and how many of its points were.
     part: usize,
     row: u64,
 }
 
-impl VtkSource {
-    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+impl VtkReader {
+    pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let mut magic = [0; legacy::MAGIC.len()];
         let mut file =
             InputFile::open(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
@@ -81,41 +77,30 @@ impl VtkSource {
         in_the_order_of_the_first(path, &mut parts)?;
         let (mut schema, columns) = schema(parts.first().map_or(&[], |part| &part.arrays));
         schema.description = description;
-        let (selected, streams) = (Vec::new(), Vec::new());
-        Ok(Self {
-            path: path.to_owned(),
-            document,
-            parts,
-            columns,
-            schema,
-            selected,
-            streams,
-            part: 0,
-            row: 0,
-        })
-    }
-
-    fn io(&self, source: io::Error) -> ReadError {
-        ReadError::Io { path: self.path.clone(), source }
+        let count = parts.iter().fold(0_u64, |all, part| all.saturating_add(part.rows));
+        let reader = Self { document, parts, columns, streams: Vec::new(), part: 0, row: 0 };
+        Ok(FileSource::new(path, schema, Some(count), reader))
     }
 
     /// An error in the numbers of an array of the current part, or in its positions. What the
     /// system says, it says of the file.
-    fn unreadable(&self, array: Option<usize>, source: io::Error) -> ReadError {
+    fn unreadable(&self, path: &Path, array: Option<usize>, source: io::Error) -> ReadError {
+        let io = |source| ReadError::Io { path: path.to_owned(), source };
         if is_of_reading(&source) {
-            return self.io(source);
+            return io(source);
         }
         let named = array.and_then(|index| self.parts.get(self.part)?.arrays.get(index));
         let of = named.map_or_else(|| "positions".to_owned(), |array| format!("array `{}`", array.name));
-        self.io(io::Error::new(source.kind(), format!("{of}: {source}")))
+        io(io::Error::new(source.kind(), format!("{of}: {source}")))
     }
 
     /// Opens an array of the current part, or its positions.
-    fn stream(&self, part: &Part, array: Option<usize>) -> Result<Stream, ReadError> {
+    fn stream(&self, path: &Path, part: &Part, array: Option<usize>) -> Result<Stream, ReadError> {
+        let io = |source| ReadError::Io { path: path.to_owned(), source };
         let found = array.map_or(&part.positions, |index| &part.arrays[index]);
         let at = |start| {
-            let mut file = InputFile::open(&self.path).map_err(|source| self.io(source))?;
-            file.seek(SeekFrom::Start(start)).map_err(|source| self.io(source))?;
+            let mut file = InputFile::open(path).map_err(io)?;
+            file.seek(SeekFrom::Start(start)).map_err(io)?;
             Ok(BufReader::with_capacity(1 << 16, file))
         };
         let (data, big_endian): (Box<dyn Read + Send>, bool) = match (&found.stored, &self.document) {
@@ -124,13 +109,10 @@ impl VtkSource {
                 let count = part.rows.saturating_mul(found.width as u64);
                 (Box::new(TextNumbers::new(at(*start)?, found.kind, count, Behind::Anything)), false)
             }
-            (Stored::Xml { .. }, Some(document)) => xml::open(&self.path, document, found, part.rows)?,
+            (Stored::Xml { .. }, Some(document)) => xml::open(path, document, found, part.rows)?,
             (Stored::Xml { .. }, None) => {
-                return Err(ReadError::malformed(
-                    &self.path,
-                    Place::Byte(0),
-                    "an array in XML, without elements",
-                ));
+                let what = "an array in XML, without elements";
+                return Err(ReadError::malformed(path, Place::Byte(0), what));
             }
         };
         Ok(Stream {
@@ -145,18 +127,20 @@ impl VtkSource {
 
     /// Opens what is needed of the current part, if its first point is next. False if there is
     /// none.
-    fn prepare(&mut self) -> Result<bool, ReadError> {
+    fn prepare(&mut self, request: &Request<'_>) -> Result<bool, ReadError> {
         while self.parts.get(self.part).is_some_and(|part| part.rows == self.row) {
             (self.part, self.row) = (self.part + 1, 0);
             self.streams.clear();
         }
         let Some(part) = self.parts.get(self.part) else { return Ok(false) };
         if self.streams.is_empty() {
-            let mut arrays: Vec<usize> = self.selected.iter().map(|&index| self.columns[index].0).collect();
+            let mut arrays: Vec<usize> =
+                request.selected.iter().map(|&index| self.columns[index].0).collect();
             arrays.sort_unstable();
             arrays.dedup();
             let all = [None].into_iter().chain(arrays.into_iter().map(Some));
-            let streams: Result<Vec<Stream>, ReadError> = all.map(|array| self.stream(part, array)).collect();
+            let streams: Result<Vec<Stream>, ReadError> =
+                all.map(|array| self.stream(request.path(), part, array)).collect();
             self.streams = streams?;
         }
         Ok(true)
@@ -240,59 +224,40 @@ impl Stream {
     }
 }
 
-impl PointSource for VtkSource {
-    fn schema(&self) -> &Schema {
-        &self.schema
-    }
-
-    fn count_hint(&self) -> Option<u64> {
-        Some(self.parts.iter().fold(0, |all, part| all.saturating_add(part.rows)))
-    }
-
-    fn path(&self) -> Option<&Path> {
-        Some(&self.path)
-    }
-
-    fn select(&mut self, columns: &[usize]) {
-        self.selected = columns.to_vec();
-    }
-
+impl RecordReader for VtkReader {
     fn memory_needed(&self) -> u64 {
         let arrays = self.parts.first().map_or(0, |part| part.arrays.len() as u64);
         STEP_BYTES as u64 + STREAM_BYTES * (1 + arrays)
     }
 
-    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
-        batch.reset(&self.schema, &self.selected);
-        while batch.len() < limit && self.prepare()? {
-            let together: usize = self.streams.iter().map(|stream| stream.row_bytes).sum();
-            let left = self.parts[self.part].rows - self.row;
-            let step = (STEP_BYTES / together.max(1)).max(1);
-            let rows = left.min(step as u64).min((limit - batch.len()) as u64) as usize;
-            for index in 0..self.streams.len() {
-                let read = self.streams[index].load(rows);
-                read.map_err(|source| self.unreadable(self.streams[index].array, source))?;
-            }
-            let first = batch.len();
-            batch.position.resize(first + rows, [0.0; 3]);
-            for stream in &self.streams {
-                if stream.array.is_none() {
-                    for axis in 0..3 {
-                        let positions = batch.position[first..].iter_mut();
-                        positions
-                            .zip(stream.component(axis))
-                            .for_each(|(p, bytes)| p[axis] = stream.kind.decode(bytes));
-                    }
-                }
-                for (column, &index) in batch.columns.iter_mut().zip(&self.selected) {
-                    let (array, component) = self.columns[index];
-                    if stream.array == Some(array) {
-                        append(column, stream, component);
-                    }
-                }
-            }
-            self.row += rows as u64;
+    fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
+        if !self.prepare(request)? {
+            return Ok(());
         }
+        let together: usize = self.streams.iter().map(|stream| stream.row_bytes).sum();
+        let left = usize::try_from(self.parts[self.part].rows - self.row).unwrap_or(usize::MAX);
+        let rows = request.most.min(left).min((STEP_BYTES / together.max(1)).max(1));
+        for index in 0..self.streams.len() {
+            let read = self.streams[index].load(rows);
+            read.map_err(|e| self.unreadable(request.path(), self.streams[index].array, e))?;
+        }
+        let first = batch.len();
+        batch.position.resize(first + rows, [0.0; 3]);
+        for stream in &self.streams {
+            if stream.array.is_none() {
+                for axis in 0..3 {
+                    let numbers = stream.component(axis).map(|bytes| stream.kind.decode(bytes));
+                    set_axis(batch, first, axis, numbers);
+                }
+            }
+            for (column, &index) in batch.columns.iter_mut().zip(request.selected) {
+                let (array, component) = self.columns[index];
+                if stream.array == Some(array) {
+                    append(column, stream, component);
+                }
+            }
+        }
+        self.row += rows as u64;
         Ok(())
     }
 }

@@ -3,7 +3,7 @@
 use super::words::{Word, Words};
 use rayset_base::geometry::DVec3;
 use rayset_base::numbers::Stored;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 
 /// A regular grid of positions.
 #[derive(Clone, Default)]
@@ -82,7 +82,7 @@ pub(super) struct Objects {
 }
 
 impl Objects {
-    pub(super) fn read(words: &mut Words<'_>) -> Result<Self, ReadError> {
+    pub(super) fn read(words: &mut Words<'_>) -> Result<Self, VolumeError> {
         let mut all: Vec<(String, Object)> = Vec::new();
         while let Some(word) = words.next()? {
             let object = all.last_mut().map(|(_, object)| object);
@@ -119,7 +119,7 @@ impl Objects {
 }
 
 /// Reads the name and kind of an object, and all of an array.
-fn begin(words: &mut Words<'_>) -> Result<(String, Object), ReadError> {
+fn begin(words: &mut Words<'_>) -> Result<(String, Object), VolumeError> {
     let name = words.expect("the name of an object")?.text;
     let mut kind = words.expect("the class of an object")?;
     if kind.is("class") {
@@ -138,7 +138,7 @@ fn clause_of_positions(
     words: &mut Words<'_>,
     word: &Word,
     positions: &mut Positions,
-) -> Result<(), ReadError> {
+) -> Result<(), VolumeError> {
     let mut three = |what: &str| {
         let numbers = <[f64; 3]>::try_from(words.numbers()?).ok();
         let vector = numbers.map(DVec3::from_array).filter(|vector| vector.is_finite());
@@ -161,7 +161,7 @@ fn clause_of_positions(
     Ok(())
 }
 
-fn array(words: &mut Words<'_>) -> Result<Array, ReadError> {
+fn array(words: &mut Words<'_>) -> Result<Array, VolumeError> {
     let mut array = Array {
         kind: "float".into(),
         real: true,
@@ -203,7 +203,7 @@ fn array(words: &mut Words<'_>) -> Result<Array, ReadError> {
 }
 
 /// Reads where the numbers of an array are, and goes on behind those that follow.
-fn location(words: &mut Words<'_>, array: &Array) -> Result<Location, ReadError> {
+fn location(words: &mut Words<'_>, array: &Array) -> Result<Location, VolumeError> {
     let word = words.expect("where the numbers of an array are")?;
     if word.is("follows") {
         words.end_line()?;

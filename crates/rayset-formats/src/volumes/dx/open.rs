@@ -8,7 +8,7 @@ use super::words::Words;
 use rayset_base::geometry::{DAffine3, DMat3};
 use rayset_base::numbers::Stored;
 use rayset_base::text_numbers::{Behind, TextNumbers};
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 /// Whether a file begins with an object, behind comments.
@@ -21,7 +21,7 @@ pub(in super::super) fn is_dx(head: &[u8]) -> bool {
     words.next() == Some("object") && classes.iter().any(|class| text.contains(class))
 }
 
-pub(in super::super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
+pub(in super::super) fn open(path: &Path) -> Result<VolumeSource, VolumeError> {
     let mut words = Words::open(path)?;
     let objects = Objects::read(&mut words)?;
     let (positions, array) = chosen(&objects).ok_or_else(|| {
@@ -29,7 +29,7 @@ pub(in super::super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
                     read as volumes";
         words.wrong(what)
     })?;
-    let wrong = |what: &str| ReadError::header(path, &array.place, what);
+    let wrong = |what: &str| VolumeError::header(path, &array.place, what);
     let stored = array.stored().filter(|_| array.real && array.components == 1).ok_or_else(|| {
         wrong(&format!(
             "{} numbers of type {} each; one real number each is read",
@@ -92,8 +92,8 @@ fn described(
     array: &Array,
     stored: Stored,
     big_endian: bool,
-) -> Result<Described, ReadError> {
-    let wrong = |what: &str| ReadError::header(path, &positions.place, what);
+) -> Result<Described, VolumeError> {
+    let wrong = |what: &str| VolumeError::header(path, &positions.place, what);
     let [a, b, c] = <[u64; 3]>::try_from(&*positions.counts)
         .map_err(|_| wrong("expected `counts` and three numbers; grids of three dimensions are read"))?;
     let deltas = <[_; 3]>::try_from(&*positions.deltas);
@@ -119,7 +119,7 @@ fn voxels(
     array: &Array,
     stored: Stored,
     bytes: u64,
-) -> Result<Voxels, ReadError> {
+) -> Result<Voxels, VolumeError> {
     let (path, start): (PathBuf, u64) = match &array.location {
         Location::Here(at) => (path.to_owned(), *at),
         Location::BehindHeader(offset) => (path.to_owned(), objects.end.saturating_add(*offset)),
@@ -133,7 +133,7 @@ fn voxels(
     if array.items > left / 2 + 1 {
         let what =
             format!("the file ends before all voxels are there: {left} bytes for {} numbers", array.items);
-        return Err(ReadError::Data { path, offset: 0, what });
+        return Err(VolumeError::Data { path, offset: 0, what });
     }
     let data = TextNumbers::new(data_at(&path, start)?, stored, array.items, Behind::Space);
     Ok(Voxels { path, data: Box::new(data), rest: None })

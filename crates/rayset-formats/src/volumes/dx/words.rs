@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::super::data::{data_at, io_error, regular_file_bytes};
 use rayset_base::regular_file::held;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_store::storage::input_file::InputFile;
 
 /// Longest header in bytes, without the numbers in it.
@@ -37,7 +37,7 @@ pub(super) struct Words<'a> {
 }
 
 impl<'a> Words<'a> {
-    pub(super) fn open(path: &'a Path) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &'a Path) -> Result<Self, VolumeError> {
         let file = data_at(path, 0)?;
         Ok(Self { path, file, line: 1, at: 0, room: MOST_HEADER_BYTES, ahead: None })
     }
@@ -46,11 +46,11 @@ impl<'a> Words<'a> {
         format!("line {}", self.line)
     }
 
-    pub(super) fn wrong(&self, what: &str) -> ReadError {
-        ReadError::header(self.path, &self.place(), what)
+    pub(super) fn wrong(&self, what: &str) -> VolumeError {
+        VolumeError::header(self.path, &self.place(), what)
     }
 
-    fn byte(&mut self) -> Result<Option<u8>, ReadError> {
+    fn byte(&mut self) -> Result<Option<u8>, VolumeError> {
         let held = held(&mut self.file).map_err(io_error(self.path))?;
         let Some(&byte) = held.first() else { return Ok(None) };
         if self.room == 0 {
@@ -69,14 +69,14 @@ impl<'a> Words<'a> {
     }
 
     /// The next word without taking it. `None` at the end of the file.
-    pub(super) fn peek(&mut self) -> Result<Option<&Word>, ReadError> {
+    pub(super) fn peek(&mut self) -> Result<Option<&Word>, VolumeError> {
         if self.ahead.is_none() {
             self.ahead = self.read()?;
         }
         Ok(self.ahead.as_ref())
     }
 
-    pub(super) fn next(&mut self) -> Result<Option<Word>, ReadError> {
+    pub(super) fn next(&mut self) -> Result<Option<Word>, VolumeError> {
         match self.ahead.take() {
             Some(word) => Ok(Some(word)),
             None => self.read(),
@@ -84,12 +84,12 @@ impl<'a> Words<'a> {
     }
 
     /// The next word, which must be there.
-    pub(super) fn expect(&mut self, what: &str) -> Result<Word, ReadError> {
+    pub(super) fn expect(&mut self, what: &str) -> Result<Word, VolumeError> {
         self.next()?.ok_or_else(|| self.wrong(&format!("the file ends where {what} was expected")))
     }
 
     /// A number that must follow.
-    pub(super) fn count(&mut self, what: &str) -> Result<u64, ReadError> {
+    pub(super) fn count(&mut self, what: &str) -> Result<u64, VolumeError> {
         let word = self.expect(what)?;
         word.text
             .parse()
@@ -97,7 +97,7 @@ impl<'a> Words<'a> {
     }
 
     /// The numbers that follow.
-    pub(super) fn numbers(&mut self) -> Result<Vec<f64>, ReadError> {
+    pub(super) fn numbers(&mut self) -> Result<Vec<f64>, VolumeError> {
         let mut all = Vec::new();
         while let Some(number) = self.peek()?.and_then(|word| word.text.parse().ok()) {
             all.push(number);
@@ -106,7 +106,7 @@ impl<'a> Words<'a> {
         Ok(all)
     }
 
-    fn read(&mut self) -> Result<Option<Word>, ReadError> {
+    fn read(&mut self) -> Result<Option<Word>, VolumeError> {
         loop {
             match self.byte()? {
                 None => return Ok(None),
@@ -136,7 +136,7 @@ impl<'a> Words<'a> {
     }
 
     /// Goes on behind the end of the line. Returns the offset.
-    pub(super) fn end_line(&mut self) -> Result<(), ReadError> {
+    pub(super) fn end_line(&mut self) -> Result<(), VolumeError> {
         while let Some(byte) = self.byte()? {
             self.consume(byte);
             if byte == b'\n' {
@@ -152,7 +152,7 @@ impl<'a> Words<'a> {
     }
 
     /// Goes on behind bytes that are no words.
-    pub(super) fn skip_bytes(&mut self, bytes: u64) -> Result<(), ReadError> {
+    pub(super) fn skip_bytes(&mut self, bytes: u64) -> Result<(), VolumeError> {
         let end = self.at.saturating_add(bytes);
         if end > regular_file_bytes(self.path)? {
             return Err(self.wrong("the file ends before all the numbers of an array are there"));
@@ -164,7 +164,7 @@ impl<'a> Words<'a> {
     }
 
     /// Goes on behind numbers in text.
-    pub(super) fn skip_numbers(&mut self, count: u64) -> Result<(), ReadError> {
+    pub(super) fn skip_numbers(&mut self, count: u64) -> Result<(), VolumeError> {
         let (mut left, mut within) = (count, false);
         while left > 0 {
             let held = held(&mut self.file).map_err(io_error(self.path))?;

@@ -11,7 +11,7 @@ use super::tree::{Bounds, Tree};
 use super::values::Coding;
 use rayset_base::geometry::{DAffine3, DMat3, DVec3};
 use rayset_base::numbers::Stored;
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_files::grid::{Described, VolumeSource, Voxels};
 
 /// Largest number of voxels of the box around all active ones.
@@ -19,7 +19,7 @@ const MOST_VOXELS: u128 = 1 << 32;
 /// The grid that is read if there are several.
 const PREFERRED: &str = "density";
 
-pub(in super::super) fn open(path: &Path) -> Result<VolumeSource, ReadError> {
+pub(in super::super) fn open(path: &Path) -> Result<VolumeSource, VolumeError> {
     let mut stream = Stream::open(path)?;
     let grid = Grid::read(&mut stream).map_err(|wrong| wrong.of_file(path))?;
     let bounds = grid.bounds().map_err(|wrong| wrong.of_file(path))?;

@@ -4,7 +4,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use super::super::data::{data_at, regular_file_bytes};
-use rayset_files::grid::ReadError;
+use rayset_files::grid::VolumeError;
 use rayset_store::storage::input_file::InputFile;
 
 /// What is wrong with a file, and where.
@@ -14,8 +14,8 @@ pub(super) struct Wrong {
 }
 
 impl Wrong {
-    pub(super) fn of_file(self, path: &Path) -> ReadError {
-        ReadError::header(path, &format!("byte {}", self.at), &self.what)
+    pub(super) fn of_file(self, path: &Path) -> VolumeError {
+        VolumeError::header(path, &format!("byte {}", self.at), &self.what)
     }
 }
 
@@ -33,7 +33,7 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
+    pub(super) fn open(path: &Path) -> Result<Self, VolumeError> {
         Ok(Self { length: regular_file_bytes(path)?, file: data_at(path, 0)?, at: 0 })
     }
 

@@ -1,23 +1,72 @@
-//! Command-line options for a style.
+//! Command-line options of the tables of options: of styles, and of what is built.
 
 use std::ffi::OsStr;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
-use rayset_inputs::style::{Change, Choice, Group, OPTIONS, Style, StyleOption};
+use rayset_inputs::BuildChoices;
+use rayset_inputs::style::{Change, Choice, Group, OptionOf, Options, Style};
 
-/// A style as clap arguments. `WITH_PICTURE` includes the options of [`Group::Picture`].
+/// The options of a table as clap arguments: those for which `wants` is true, under headings of
+/// their subjects.
 #[derive(Clone, Default)]
-pub(crate) struct StyleArgs<const WITH_PICTURE: bool>(pub(crate) Style);
+pub(crate) struct OptionArgs<T, S>(pub(crate) T, std::marker::PhantomData<S>);
 
-fn options(with_picture: bool) -> impl Iterator<Item = &'static StyleOption> {
-    OPTIONS.iter().filter(move |option| with_picture || option.group != Group::Picture)
+/// Which options of a table a command has.
+pub(crate) trait Selection: Clone + Default + Send + Sync + 'static {
+    /// The heading of a group; `None` if the command has none of its options.
+    fn heading(group: Group) -> Option<&'static str>;
 }
 
-impl<const WITH_PICTURE: bool> Args for StyleArgs<WITH_PICTURE> {
+/// Those of any input.
+#[derive(Clone, Default)]
+pub(crate) struct OfInput;
+
+/// The same, without those of the picture.
+#[derive(Clone, Default)]
+pub(crate) struct WithoutPicture;
+
+/// Those of the command that builds.
+#[derive(Clone, Default)]
+pub(crate) struct OfBuild;
+
+impl Selection for OfInput {
+    fn heading(group: Group) -> Option<&'static str> {
+        Some(match group {
+            Group::Picture => "Picture",
+            Group::Look => "Look of a cloud or grid (a scene file says this itself)",
+            Group::Camera => "Camera (by default it frames the whole input; a scene file has its own)",
+            Group::Build => "Building of inputs that were not built before",
+        })
+    }
+}
+
+impl Selection for WithoutPicture {
+    fn heading(group: Group) -> Option<&'static str> {
+        OfInput::heading(group).filter(|_| group != Group::Picture)
+    }
+}
+
+impl Selection for OfBuild {
+    fn heading(group: Group) -> Option<&'static str> {
+        (group == Group::Build).then_some("What is built of the input")
+    }
+}
+
+/// A style, with or without the options of the picture.
+pub(crate) type StyleArgs<S> = OptionArgs<Style, S>;
+/// What is built of points or voxels.
+pub(crate) type ChoiceArgs<S> = OptionArgs<BuildChoices, S>;
+
+/// The options of a table that a command has, with their headings.
+fn selected<T: Options, S: Selection>() -> impl Iterator<Item = (&'static OptionOf<T>, &'static str)> {
+    T::TABLE.iter().filter_map(|option| Some((option, S::heading(option.group)?)))
+}
+
+impl<T: Options, S: Selection> Args for OptionArgs<T, S> {
     fn augment_args(command: Command) -> Command {
-        options(WITH_PICTURE).fold(command, |command, option| command.arg(argument(option)))
+        selected::<T, S>().fold(command, |command, (option, heading)| command.arg(argument(option, heading)))
     }
 
     fn augment_args_for_update(command: Command) -> Command {
@@ -25,7 +74,7 @@ impl<const WITH_PICTURE: bool> Args for StyleArgs<WITH_PICTURE> {
     }
 }
 
-impl<const WITH_PICTURE: bool> FromArgMatches for StyleArgs<WITH_PICTURE> {
+impl<T: Options, S: Selection> FromArgMatches for OptionArgs<T, S> {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
         let mut args = Self::default();
         args.update_from_arg_matches(matches)?;
@@ -33,14 +82,14 @@ impl<const WITH_PICTURE: bool> FromArgMatches for StyleArgs<WITH_PICTURE> {
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
-        for option in options(WITH_PICTURE) {
+        for (option, _) in selected::<T, S>() {
             if option.is_flag() {
-                if matches.get_flag(option.name()) {
+                if matches.get_flag(option.name) {
                     let change =
                         option.parse("").map_err(|what| Error::raw(ErrorKind::InvalidValue, what))?;
                     change.make(&mut self.0);
                 }
-            } else if let Some(change) = matches.get_one::<Change>(option.name()) {
+            } else if let Some(change) = matches.get_one::<Change<T>>(option.name) {
                 change.make(&mut self.0);
             }
         }
@@ -48,13 +97,8 @@ impl<const WITH_PICTURE: bool> FromArgMatches for StyleArgs<WITH_PICTURE> {
     }
 }
 
-fn argument(option: &'static StyleOption) -> Arg {
-    let heading = match option.group {
-        Group::Picture => "Picture",
-        Group::Look => "Look of a cloud or grid (a scene file says this itself)",
-        Group::Camera => "Camera (by default it frames the whole input; a scene file has its own)",
-    };
-    let name = option.name();
+fn argument<T: Options>(option: &'static OptionOf<T>, heading: &'static str) -> Arg {
+    let name = option.name;
     let arg = Arg::new(name)
         .long(name)
         .help(option.help)
@@ -69,13 +113,18 @@ fn argument(option: &'static StyleOption) -> Arg {
 }
 
 /// Parses the value of an option.
-#[derive(Clone)]
-struct ValueOf(&'static StyleOption);
+struct ValueOf<T: 'static>(&'static OptionOf<T>);
 
-impl TypedValueParser for ValueOf {
-    type Value = Change;
+impl<T> Clone for ValueOf<T> {
+    fn clone(&self) -> Self {
+        Self(self.0)
+    }
+}
 
-    fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<Change, Error> {
+impl<T: Options> TypedValueParser for ValueOf<T> {
+    type Value = Change<T>;
+
+    fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<Change<T>, Error> {
         if let Some(words) = self.words() {
             PossibleValuesParser::new(words).parse_ref(command, arg, value)?;
         }
@@ -88,7 +137,7 @@ impl TypedValueParser for ValueOf {
     }
 }
 
-impl ValueOf {
+impl<T: Options> ValueOf<T> {
     /// The permitted words; `None` if the value is not one of a few words.
     fn words(&self) -> Option<Vec<PossibleValue>> {
         let choices = self.0.choices();
@@ -110,7 +159,7 @@ mod tests {
     #[command(no_binary_name = true)]
     struct Words {
         #[command(flatten)]
-        style: StyleArgs<true>,
+        style: StyleArgs<OfInput>,
     }
 
     fn read(words: &[&str]) -> Result<Style, String> {
