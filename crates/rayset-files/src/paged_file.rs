@@ -179,3 +179,76 @@ impl<T: HasPages> PageSource for FilePages<T> {
         self.of.stored_file().path.display().to_string()
     }
 }
+
+/// What is the same of clouds and grids: `$of` makes one of its open file, whose header is a
+/// `$header`.
+macro_rules! paged_file {
+    ($name:ident, $what:literal, $header:ty, $of:expr) => {
+        impl std::fmt::Debug for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.debug_struct(stringify!($name))
+                    .field("path", &self.file.path)
+                    .field("header", &self.file.header)
+                    .finish_non_exhaustive()
+            }
+        }
+
+        impl $name {
+            #[doc = concat!("Opens a ", $what, " and checks its header, its length, its descriptions and its footer.")]
+            /// The path may be an address
+            /// ([`storage::open_addresses_with`](rayset_store::storage::open_addresses_with)).
+            ///
+            /// # Errors
+            #[doc = concat!("[`OpenError`] if the file cannot be read, or is not a complete ", $what, " of this version.")]
+            pub fn open(path: impl AsRef<std::path::Path>) -> Result<Self, OpenError> {
+                PagedFile::open(path.as_ref()).map($of)
+            }
+
+            #[doc = concat!("Opens a ", $what, " whose bytes are in memory, for example those of a file that was read.")]
+            /// They are used in place.
+            ///
+            /// # Errors
+            #[doc = concat!("[`OpenError`] if they are not a complete ", $what, " of this version.")]
+            pub fn from_bytes(bytes: impl Into<Arc<[u8]>>) -> Result<Self, OpenError> {
+                PagedFile::from_bytes(bytes.into()).map($of)
+            }
+
+            #[doc = concat!("Opens a ", $what, " whose bytes are read from any storage; `name` is for messages.")]
+            #[doc = concat!("The bytes must not change while the ", $what, " is open.")]
+            ///
+            /// # Errors
+            /// As [`open`](Self::open).
+            pub fn from_storage(name: &str, storage: Arc<dyn Storage>) -> Result<Self, OpenError> {
+                PagedFile::over(name, storage).map($of)
+            }
+
+            /// The storage that its pages are read from; `None` for a file on disk, which is opened
+            /// by its path.
+            #[doc(hidden)]
+            #[must_use]
+            pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
+                self.file.storage.as_ref()
+            }
+
+            /// The path of the file, an address without its query, or the name of the storage.
+            #[must_use]
+            pub fn path(&self) -> &std::path::Path {
+                &self.file.path
+            }
+
+            /// What opens it again: its path or address, with the query of a signed one, which
+            /// grants access and is not to be shown; the name of the storage else.
+            #[must_use]
+            pub fn address(&self) -> &std::path::Path {
+                &self.file.address
+            }
+
+            /// The checked header.
+            #[must_use]
+            pub fn header(&self) -> &$header {
+                &self.file.header
+            }
+        }
+    };
+}
+pub(crate) use paged_file;

@@ -1,11 +1,10 @@
 //! Opening a grid: header, footer, length and descriptions are checked here; pages are checked when
 //! they are read.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use super::format::{GridHeader, PAGE_BYTES, RANGES_PER_PAGE};
-use crate::paged_file::{HasPages, PagedFile, PagedHeader};
+use crate::paged_file::{HasPages, PagedFile, PagedHeader, paged_file};
 use crate::points::{ColumnType, PointBatch, Values};
 use rayset_base::geometry::DVec3;
 use rayset_store::container::{
@@ -20,14 +19,7 @@ pub struct Grid {
     file: PagedFile<GridHeader>,
 }
 
-impl std::fmt::Debug for Grid {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Grid")
-            .field("path", &self.file.path)
-            .field("header", &self.file.header)
-            .finish_non_exhaustive()
-    }
-}
+paged_file!(Grid, "grid", GridHeader, |file| Self { file });
 
 #[doc(hidden)]
 impl PagedHeader for GridHeader {
@@ -82,61 +74,6 @@ impl HasPages for Grid {
 }
 
 impl Grid {
-    /// Opens a grid and checks its header, its length, its descriptions and its footer. The path
-    /// may be an address
-    /// ([`storage::open_addresses_with`](rayset_store::storage::open_addresses_with)).
-    ///
-    /// # Errors
-    /// [`OpenError`] if the file cannot be read, or is not a complete grid of this version.
-    pub fn open(path: impl AsRef<Path>) -> Result<Self, OpenError> {
-        PagedFile::open(path.as_ref()).map(|file| Self { file })
-    }
-
-    /// Opens a grid whose bytes are in memory, for example those of a file that was read. They are
-    /// used in place.
-    ///
-    /// # Errors
-    /// [`OpenError`] if they are not a complete grid of this version.
-    pub fn from_bytes(bytes: impl Into<Arc<[u8]>>) -> Result<Self, OpenError> {
-        PagedFile::from_bytes(bytes.into()).map(|file| Self { file })
-    }
-
-    /// Opens a grid whose bytes are read from any storage; `name` is for messages. The bytes must
-    /// not change while the grid is open.
-    ///
-    /// # Errors
-    /// As [`open`](Self::open).
-    pub fn from_storage(name: &str, storage: Arc<dyn Storage>) -> Result<Self, OpenError> {
-        PagedFile::over(name, storage).map(|file| Self { file })
-    }
-
-    /// The storage that its pages are read from; `None` for a file on disk, which is opened by its
-    /// path.
-    #[doc(hidden)]
-    #[must_use]
-    pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
-        self.file.storage.as_ref()
-    }
-
-    /// The path of the file, an address without its query, or the name of the storage.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.file.path
-    }
-
-    /// What opens it again: its path or address, with the query of a signed one, which grants
-    /// access and is not to be shown; the name of the storage else.
-    #[must_use]
-    pub fn address(&self) -> &Path {
-        &self.file.address
-    }
-
-    /// The checked header.
-    #[must_use]
-    pub fn header(&self) -> &GridHeader {
-        &self.file.header
-    }
-
     /// Reads and checks every page, and the digests of all pages. Returns the number of pages.
     ///
     /// # Errors

@@ -1,13 +1,12 @@
 //! Opening a cloud: header, footer, length and descriptions are checked here; pages are checked
 //! when they are read.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
-use crate::paged_file::{HasPages, PagedFile, PagedHeader};
+use crate::paged_file::{HasPages, PagedFile, PagedHeader, paged_file};
 use rayset_store::container::{FileKind, Identity, OpenError, OpenFile, PageError, ScanError, SectionKind};
 use rayset_store::storage::Storage;
 use rayset_store::working_set::Kind;
@@ -22,14 +21,7 @@ pub struct Cloud {
     stored: Option<Arc<Self>>,
 }
 
-impl std::fmt::Debug for Cloud {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Cloud")
-            .field("path", &self.file.path)
-            .field("header", &self.file.header)
-            .finish_non_exhaustive()
-    }
-}
+paged_file!(Cloud, "cloud", Header, |file| Self { file, stored: None });
 
 #[doc(hidden)]
 impl PagedHeader for Header {
@@ -78,38 +70,6 @@ impl HasPages for Cloud {
 }
 
 impl Cloud {
-    /// Opens a cloud and checks its header, its length, its descriptions and its footer. The path
-    /// may be an address
-    /// ([`storage::open_addresses_with`](rayset_store::storage::open_addresses_with)).
-    ///
-    /// # Errors
-    /// [`OpenError`] if the file cannot be read, or is not a complete cloud of this version.
-    pub fn open(path: impl AsRef<Path>) -> Result<Self, OpenError> {
-        PagedFile::open(path.as_ref()).map(Self::of)
-    }
-
-    /// Opens a cloud whose bytes are in memory, for example those of a file that was read. They are
-    /// used in place.
-    ///
-    /// # Errors
-    /// [`OpenError`] if they are not a complete cloud of this version.
-    pub fn from_bytes(bytes: impl Into<Arc<[u8]>>) -> Result<Self, OpenError> {
-        PagedFile::from_bytes(bytes.into()).map(Self::of)
-    }
-
-    /// Opens a cloud whose bytes are read from any storage; `name` is for messages. The bytes must
-    /// not change while the cloud is open.
-    ///
-    /// # Errors
-    /// As [`open`](Self::open).
-    pub fn from_storage(name: &str, storage: Arc<dyn Storage>) -> Result<Self, OpenError> {
-        PagedFile::over(name, storage).map(Self::of)
-    }
-
-    fn of(file: PagedFile<Header>) -> Self {
-        Self { file, stored: None }
-    }
-
     /// The same cloud with its points' radii multiplied by a factor. Both have the same pages in
     /// memory. `None` if the factor is not above 0, or a radius is then not from 1e-18 to 1e18.
     #[must_use]
@@ -137,33 +97,6 @@ impl Cloud {
     #[must_use]
     pub fn stored(self: &Arc<Self>) -> &Arc<Self> {
         self.stored.as_ref().unwrap_or(self)
-    }
-
-    /// The storage that its pages are read from; `None` for a file on disk, which is opened by its
-    /// path.
-    #[doc(hidden)]
-    #[must_use]
-    pub fn storage(&self) -> Option<&Arc<dyn Storage>> {
-        self.file.storage.as_ref()
-    }
-
-    /// The path of the file, an address without its query, or the name of the storage.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.file.path
-    }
-
-    /// What opens it again: its path or address, with the query of a signed one, which grants
-    /// access and is not to be shown; the name of the storage else.
-    #[must_use]
-    pub fn address(&self) -> &Path {
-        &self.file.address
-    }
-
-    /// The checked header.
-    #[must_use]
-    pub fn header(&self) -> &Header {
-        &self.file.header
     }
 
     /// Passes every run of points to `visit`, in file order, with the number of its page.
