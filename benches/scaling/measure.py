@@ -152,7 +152,7 @@ class Measurement:
             size = round(width / factor), round(height / factor)
             blocks = -(-size[0] // 32) * -(-size[1] // 32)
             for look in LOOKS:
-                words = ["far", f"cloud={self.cloud(points)}", f"size={size[0]}x{size[1]}", f"look={look}", f"field={FIELD / factor}", "threads=2"]
+                words = ["remote", f"cloud={self.cloud(points)}", f"size={size[0]}x{size[1]}", f"look={look}", f"field={FIELD / factor}", "threads=2"]
                 whole = self.scaling(*words, "repeat=1")[0]
                 alone = [self.scaling(*words, f"part={part}/{blocks}", "repeat=1")[0] for part in range(1, blocks + 1)]
                 rows.append({"picture": name, "look": look, "points": points, "size": size,
@@ -215,12 +215,12 @@ class Measurement:
         trace = self.trace(points, size, "opaque", repeat=5)
         rows = []
         for of in (1, 2, 4, 8, 16, 32, 64, 576):
-            runs = [self.scaling("far", *picture, f"part={part}/{of}", "latency=0", "repeat=1")[0] for part in range(1, of + 1)]
+            runs = [self.scaling("remote", *picture, f"part={part}/{of}", "latency=0", "repeat=1")[0] for part in range(1, of + 1)]
             rows.append({"of": of, "pages": [run["unique"] for run in runs], "seconds": [run["seconds"] for run in runs]})
         blocks = [[i, j, ns, pages] for i, j, ns, pages in trace["frames"][0]["blocks"]]
         return {"points": points, "size": size, "page_bytes": trace["page_bytes"], "blocks": blocks, "measured": rows}
 
-    def far(self, points=10**7, size=(1024, 576)):
+    def remote(self, points=10**7, size=(1024, 576)):
         """Pictures from a simulated object that is 50 ms away, in one and in several processes at a time."""
         picture = [f"cloud={self.cloud(points)}", f"size={size[0]}x{size[1]}", "look=opaque"]
         rows = []
@@ -229,7 +229,7 @@ class Measurement:
             # Two processes at a time: there are two processors.
             for first in range(1, of + 1, 2):
                 jobs = [
-                    subprocess.Popen([self.bench, "far", *picture, f"part={part}/{of}", f"threads={threads}", f"latency={latency}", "repeat=5"],
+                    subprocess.Popen([self.bench, "remote", *picture, f"part={part}/{of}", f"threads={threads}", f"latency={latency}", "repeat=5"],
                                      stdout=subprocess.PIPE, text=True)
                     for part in range(first, min(first + 2, of + 1))
                 ]
@@ -255,8 +255,8 @@ class Measurement:
                          "--position", eye, f"--direction={ahead}", "--threads", 1, "--memory", "256MiB", "--shading", "none",
                          "--opacity", "extinction:1", "--color", "white", "--ambient-occlusion", 0)
                 times.append(time.monotonic() - started)
-            far = self.scaling("far", f"cloud={self.cloud(points)}", "size=8x8", "repeat=1")[0]
-            rows.append({"points": points, "seconds": median(times), "opening_requests": far["opening_requests"], "opened_s": far["opened"],
+            remote = self.scaling("remote", f"cloud={self.cloud(points)}", "size=8x8", "repeat=1")[0]
+            rows.append({"points": points, "seconds": median(times), "opening_requests": remote["opening_requests"], "opened_s": remote["opened"],
                          "file_bytes": self.cloud(points).stat().st_size})
         return rows
 
@@ -311,7 +311,7 @@ class Measurement:
         path = Path(__file__).with_name("costs.json")
         if path.exists():
             costs = json.loads(path.read_text())
-        for name in ("clouds", "scale_models", "reads", "levels", "fixed", "maps", "turntable", "parts", "far", "opening", "merges", "builds"):
+        for name in ("clouds", "scale_models", "reads", "levels", "fixed", "maps", "turntable", "parts", "remote", "opening", "merges", "builds"):
             if only and name not in only:
                 continue
             self.loads.clear()

@@ -51,7 +51,7 @@ def stubborn(workers, p, seconds=20.0, seed=1, size=0.0):
 
 
 class Pace:
-    """How many requests a worker has in flight (crates/rayset-store/src/storage/far/pace.rs)."""
+    """How many requests a worker has in flight (crates/rayset-store/src/storage/remote/pace.rs)."""
 
     def __init__(self, p):
         self.p, self.allowed, self.heeded, self.quiet_until, self.in_a_row = p, float(p.in_flight), -1.0, 0.0, 0

@@ -189,7 +189,7 @@ class Costs:
         """Processor seconds for reading a page, besides tracing: from renders of an object without latency."""
         parts = self.raw["parts"]
         traced = sum(block[2] for block in parts["blocks"]) / 1e9
-        alone = next(r for r in self.raw["far"] if r["of"] == 1 and r["latency"] == 0)["runs"][0]
+        alone = next(r for r in self.raw["remote"] if r["of"] == 1 and r["latency"] == 0)["runs"][0]
         return max(0.0, (alone["seconds"] - traced) / alone["unique"])
 
     def weights(self, look, what, columns, rows):
@@ -672,8 +672,8 @@ def validate(costs, p, out):
         error, law_error = exact / measured - 1, law / measured - 1
         worst["pages"] = max(worst.get("pages", 0), abs(error), abs(law_error))
         out(f"| {row['of']} | {measured} | {measured / one:.2f} | {exact:.0f} | {100 * error:+.1f} % | {law:.0f} | {100 * law_error:+.1f} % |")
-    out("\nA picture from an object far away, one thread or two a process; two processes at a time:\n\n| parts | threads | latency | slowest part, measured | predicted | error | requests, measured | predicted |\n| ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
-    for row in raw["far"]:
+    out("\nA picture from a remote object, one thread or two a process; two processes at a time:\n\n| parts | threads | latency | slowest part, measured | predicted | error | requests, measured | predicted |\n| ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
+    for row in raw["remote"]:
         if row["latency"] == 0:
             continue
         q = replace(p, threads=row["threads"], latency=row["latency"], network=1e12, connection=1e12, prefix_rate=1e12)
@@ -686,7 +686,7 @@ def validate(costs, p, out):
         measured = max(r["seconds"] for r in row["runs"])
         predicted = max(done)
         error = predicted / measured - 1
-        worst["far"] = max(worst.get("far", 0), abs(error))
+        worst["remote"] = max(worst.get("remote", 0), abs(error))
         out(f"| {row['of']} | {row['threads']} | {1000 * row['latency']:.0f} ms | {measured:.3f} s | {predicted:.3f} s | {100 * error:+.0f} % | {sum(r['requests'] for r in row['runs']):.0f} | {requests:.0f} |")
     out("\nThe scale model: 10⁸ points, predicted from 10⁷ in a tenth of the pixels:\n\n| picture of 10¹¹ | look | processor, predicted / measured | pages, predicted / measured |\n| --- | --- | ---: | ---: |")
     for name in ("8K", "1080p"):

@@ -16,8 +16,8 @@ use rayset_inputs::look::{self, Looks, Picture};
 use rayset_inputs::{BuildChoices, Cache, Host, Input, Opened, OwnFolder, Resources};
 
 use crate::errors::{self, Kind};
-use crate::far;
 use crate::looks::{self, ChosenLook};
+use crate::remote;
 use crate::room;
 use crate::wait::{self, Progress, lock};
 
@@ -92,7 +92,7 @@ impl CloudFile {
     /// What tells an object from others at its address; `None` for files.
     #[getter]
     fn version(&self) -> Option<String> {
-        far::version(self.cloud.storage())
+        remote::version(self.cloud.storage())
     }
 
     #[getter]
@@ -190,7 +190,7 @@ impl GridFile {
     /// What tells an object from others at its address; `None` for files.
     #[getter]
     fn version(&self) -> Option<String> {
-        far::version(self.grid.storage())
+        remote::version(self.grid.storage())
     }
 
     #[getter]

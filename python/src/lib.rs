@@ -5,12 +5,12 @@ mod arrays;
 mod build;
 mod chunks;
 mod errors;
-mod far;
 mod files;
 mod image;
 mod looks;
 mod parts;
 mod points;
+mod remote;
 mod render;
 mod room;
 mod steps;
@@ -23,12 +23,12 @@ use pyo3::prelude::*;
 /// Classes and functions of the engine.
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    far::open_addresses(module.py())?;
+    remote::open_addresses(module.py())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-    module.add_function(wrap_pyfunction!(far::read_text, module)?)?;
-    module.add_function(wrap_pyfunction!(far::beside, module)?)?;
-    module.add_function(wrap_pyfunction!(far::shown, module)?)?;
-    module.add_function(wrap_pyfunction!(far::versions, module)?)?;
+    module.add_function(wrap_pyfunction!(remote::read_text, module)?)?;
+    module.add_function(wrap_pyfunction!(remote::beside, module)?)?;
+    module.add_function(wrap_pyfunction!(remote::shown, module)?)?;
+    module.add_function(wrap_pyfunction!(remote::versions, module)?)?;
     module.add_class::<files::CloudFile>()?;
     module.add_class::<files::GridFile>()?;
     module.add_class::<image::Picture>()?;

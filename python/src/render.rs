@@ -18,9 +18,9 @@ use rayset::{
 };
 
 use crate::errors::{self, Kind};
-use crate::far::FarFiles;
 use crate::files::{CloudFile, GridFile};
 use crate::image::{self, Picture};
+use crate::remote::RemoteFiles;
 use crate::room::TooLarge;
 use crate::wait::{self, Closing, Mailbox, PATIENCE, Progress, Waited, lock};
 
@@ -48,8 +48,8 @@ struct Last {
     /// What it was compiled of.
     key: String,
     prepared: PreparedScene,
-    /// What it has open of objects that are far away.
-    far: FarFiles,
+    /// What it has open of objects that are remote.
+    remote: RemoteFiles,
 }
 
 /// What is to be rendered: a scene as JSON, what distinguishes it but for its camera, the folder
@@ -138,13 +138,13 @@ impl Job {
 impl Wanted {
     /// Reads the scene, and opens the files that are not open.
     pub(crate) fn parsed(&self) -> Result<SceneFile, Failure> {
-        self.parsed_using(FarFiles::default())
+        self.parsed_using(RemoteFiles::default())
     }
 
-    /// The same, with far files that are open, as far as they are still what is at their addresses.
-    fn parsed_using(&self, far: FarFiles) -> Result<SceneFile, Failure> {
+    /// The same, with remote files that are open, as far as they are still what is at their addresses.
+    fn parsed_using(&self, remote: RemoteFiles) -> Result<SceneFile, Failure> {
         let path = self.folder.join("scene");
-        let (mut clouds, mut grids) = far.current();
+        let (mut clouds, mut grids) = remote.current();
         // The caller's own come before others of their names.
         clouds.extend_from_slice(&self.clouds);
         grids.extend_from_slice(&self.grids);
@@ -241,18 +241,20 @@ impl Session {
         let last = lock(&self.open).as_ref().and_then(|open| open.last.clone());
         // Of a scene that names no address nobody is asked.
         let names_some = wanted.scene.contains("://") || storage::address_of(&wanted.folder).is_some();
-        let far =
-            last.as_ref().filter(|_| names_some).map_or_else(FarFiles::default, |last| last.far.clone());
-        let mut file = wanted.parsed_using(far)?;
+        let remote = last
+            .as_ref()
+            .filter(|_| names_some)
+            .map_or_else(RemoteFiles::default, |last| last.remote.clone());
+        let mut file = wanted.parsed_using(remote)?;
         file.settings.layers = wanted.layers;
-        let far = FarFiles::of(&file.scene.root);
-        let key = format!("{} {} {}", wanted.key, wanted.layers, far.text());
+        let remote = RemoteFiles::of(&file.scene.root);
+        let key = format!("{} {} {}", wanted.key, wanted.layers, remote.text());
         let prepared = match last.filter(|last| last.key == key) {
             Some(last) => last.prepared,
             None => {
                 let prepared = engine.prepare(&file.scene, &file.settings)?;
                 if let Some(open) = &mut *lock(&self.open) {
-                    open.last = Some(Last { key, prepared: prepared.clone(), far });
+                    open.last = Some(Last { key, prepared: prepared.clone(), remote });
                 }
                 prepared
             }

@@ -18,8 +18,8 @@ pub(crate) struct Budget {
 impl Budget {
     /// For work on some files: where one of them is at an address, requests take their part.
     pub(crate) fn of<P: AsRef<Path>>(memory: u64, files: impl IntoIterator<Item = P>) -> Self {
-        let far = files.into_iter().any(|file| address_of(file.as_ref()).is_some());
-        Self { memory, process_bytes: PROCESS_BYTES + if far { rayset_far::REQUESTS_BYTES } else { 0 } }
+        let remote = files.into_iter().any(|file| address_of(file.as_ref()).is_some());
+        Self { memory, process_bytes: PROCESS_BYTES + if remote { rayset_remote::REQUESTS_BYTES } else { 0 } }
     }
 
     /// For work on files on a disk.

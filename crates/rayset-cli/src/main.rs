@@ -13,7 +13,6 @@ mod check;
 mod demo;
 #[cfg(test)]
 mod documents;
-mod far;
 mod figure;
 mod generate;
 mod histogram;
@@ -28,6 +27,7 @@ mod option_args;
 mod outputs;
 mod part_note;
 mod progress;
+mod remote;
 mod render;
 mod report;
 mod statistics;
@@ -50,7 +50,7 @@ struct Cli {
     #[command(subcommand)]
     command: Command,
     #[command(flatten)]
-    far: far::FarArgs,
+    remote: remote::RemoteArgs,
 }
 
 #[derive(Subcommand)]
@@ -98,7 +98,7 @@ fn main() -> ExitCode {
         }
     };
     let outcome = interrupts::install()
-        .and_then(|()| cli.far.open(cli.command.memory()))
+        .and_then(|()| cli.remote.open(cli.command.memory()))
         .and_then(|()| run(cli.command))
         .and_then(|()| report::check_results());
     interrupts::wait_if_ending();

@@ -5,7 +5,7 @@
 /// page that is used: 8.5 to 9.5 MiB on Linux, and a mebibyte less if all of it was optimised at
 /// once. The code of an unoptimised build is larger; so is that of a program that opens addresses,
 /// though it opens none, by up to two mebibytes.
-pub(crate) const PROCESS_BYTES: u64 = match (cfg!(debug_assertions), cfg!(feature = "far")) {
+pub(crate) const PROCESS_BYTES: u64 = match (cfg!(debug_assertions), cfg!(feature = "remote")) {
     (false, false) => 20 << 19,
     (false, true) => 23 << 19,
     (true, false) => 21 << 19,

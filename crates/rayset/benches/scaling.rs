@@ -4,12 +4,12 @@
 //!     scaling cloud mesh=FILE points=N out=FILE [radius=R]
 //!     scaling trace cloud=FILE size=WxH [look=opaque] [unit=32] [field=30] [frames=1]
 //!                   [turn=DEGREES]
-//!     scaling far cloud=FILE size=WxH [look=opaque] [part=1/1] [threads=1] [memory=BYTES]
+//!     scaling remote cloud=FILE size=WxH [look=opaque] [part=1/1] [threads=1] [memory=BYTES]
 //!                 [latency=SECONDS]
 //!
 //! `cloud` makes a cloud of points on a mesh, evenly by area.
 //! `trace` renders in core, on one thread, and prints of each square of `unit` pixels (a block
-//! has 32): column, row, nanoseconds, and the pages that its rays ask for. `far` renders a part
+//! has 32): column, row, nanoseconds, and the pages that its rays ask for. `remote` renders a part
 //! from a simulated object: each request takes the latency, 20 % more or less, and at most 64
 //! are in flight. Both print JSON.
 #![allow(clippy::print_stdout, reason = "it prints what it measured")]
@@ -28,7 +28,7 @@ use rayset::points::{MeshSource, PointSource};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
 };
-use rayset::storage::{Behaviour, FarOptions, FarStorage, FileStorage, SimulatedObject, Storage};
+use rayset::storage::{Behaviour, FileStorage, RemoteOptions, RemoteStorage, SimulatedObject, Storage};
 use rayset::trace::predict::{Lookahead, NoPredictor, Predictor};
 use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind};
@@ -42,8 +42,8 @@ fn main() {
     match words.first().map(String::as_str) {
         Some("cloud") => make_cloud(&options),
         Some("trace") => trace(&options),
-        Some("far") => far(&options),
-        _ => println!("scaling cloud|trace|far KEY=VALUE…; see the head of this file"),
+        Some("remote") => remote(&options),
+        _ => println!("scaling cloud|trace|remote KEY=VALUE…; see the head of this file"),
     }
 }
 
@@ -185,14 +185,14 @@ fn trace(options: &Options<'_>) {
     );
 }
 
-fn far(options: &Options<'_>) {
+fn remote(options: &Options<'_>) {
     let path = options.text("cloud", "");
     let near = FileStorage::open(Path::new(&path), false).expect("the file");
     let length = near.length().expect("its length");
     let latency = Duration::from_secs_f64(options.number("latency", 0.05));
     let behaviour = Behaviour { latency, jitter: 0.2, ..Behaviour::default() };
     let object = Arc::new(SimulatedObject::new(Arc::new(near), behaviour, 1).expect("a thread"));
-    let storage = FarStorage::new(object.clone(), length, FarOptions::default()).expect("a thread");
+    let storage = RemoteStorage::new(object.clone(), length, RemoteOptions::default()).expect("a thread");
     let opening = Instant::now();
     let cloud = Arc::new(Cloud::from_storage(&path, Arc::new(storage)).expect("a cloud"));
     let opened = opening.elapsed().as_secs_f64();

@@ -1,15 +1,15 @@
 //! Sources of the bytes of cloud and grid files, and how they are read: a file on disk, bytes in
-//! memory, an object that is far away, or a user's implementation.
+//! memory, a remote object, or a user's implementation.
 //!
 //! Local files share one way of reading ([`BackendKind`]), whatever their number. An object that is
-//! far away brings its own ([`FarStorage`]). None of this can change a picture.
+//! far away brings its own ([`RemoteStorage`]). None of this can change a picture.
 
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub use rayset_store::storage::*;
 pub use rayset_store::storage::{
-    Addresses, BackendKind, FarCounts, FarOptions, FarStorage, FileStorage, MemoryStorage, RangeError,
-    RangeReader, RangeSink, RequestLimit, Storage, open_addresses_with,
+    Addresses, BackendKind, FileStorage, MemoryStorage, RangeError, RangeReader, RangeSink, RemoteCounts,
+    RemoteOptions, RemoteStorage, RequestLimit, Storage, open_addresses_with,
 };
 #[doc(hidden)]
 pub use rayset_store::storage::{

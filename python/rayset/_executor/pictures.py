@@ -197,7 +197,7 @@ def _picture(scene: Scene, crop: Any, layers: bool) -> worker.Picture:
 
 
 def _pins(scenes: Sequence[Scene]) -> dict[str, str | None]:
-    """What is open here of objects that are far away."""
+    """What is open here of objects that are remote."""
     return {name: held._file.version for scene in scenes for name, held in scene._data.items()}
 
 

@@ -41,7 +41,7 @@ class Survey:
     memory: int | None
     #: What is wrong with the files as this worker sees them.
     error: Exception | None
-    #: Their sizes, and what tells objects that are far away from others at their addresses.
+    #: Their sizes, and what tells objects that are remote from others at their addresses.
     files: tuple[tuple[str, int, str | None], ...] = ()
 
 

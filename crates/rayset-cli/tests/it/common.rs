@@ -29,6 +29,6 @@ pub(crate) fn succeeds(folder: &std::path::Path, arguments: &[&str]) -> String {
 /// `--memory` of so many mebibytes. A program that opens remote objects takes two more by itself,
 /// though it opens none.
 pub(crate) fn mebibytes(memory: f64) -> (String, f64) {
-    let memory = if cfg!(feature = "far") { memory + 2.0 } else { memory };
+    let memory = if cfg!(feature = "remote") { memory + 2.0 } else { memory };
     (format!("{memory}MiB"), memory * f64::from(1 << 20))
 }

@@ -70,7 +70,7 @@ impl Runs {
     fn good(&mut self, arguments: &[&str]) {
         let well = self.run(arguments);
         let said = String::from_utf8_lossy(&self.said.last().expect("it ran").1).into_owned();
-        assert!(well || !cfg!(feature = "far"), "{arguments:?}: {said}");
+        assert!(well || !cfg!(feature = "remote"), "{arguments:?}: {said}");
     }
 
     fn bad(&mut self, arguments: &[&str]) {
@@ -110,7 +110,7 @@ fn everything(folder: &Path, found: &mut Vec<(PathBuf, Vec<u8>)>) {
     }
 }
 
-#[cfg(feature = "far")]
+#[cfg(feature = "remote")]
 #[test]
 fn an_object_that_is_signed_anew_is_the_one_that_was_built_before_and_one_that_has_changed_is_not() {
     let (served, here) = (folder(), folder());
@@ -158,10 +158,20 @@ fn nothing_that_a_run_leaves_or_says_has_the_secrets_of_its_addresses() {
     runs.good(&["info", &points, "--cache", "kept"]);
     runs.good(&["verify", &cloud]);
     for (output, input) in [("a.png", &points), ("b.exr", &cloud), ("c.png", &text)] {
-        let words =
-            ["render", input, "-o", output, "--cache", "kept", "--stats", "stats.json", "--far-cache", "far"];
+        let words = [
+            "render",
+            input,
+            "-o",
+            output,
+            "--cache",
+            "kept",
+            "--stats",
+            "stats.json",
+            "--remote-cache",
+            "remote",
+        ];
         // Without what opens addresses, the option is none.
-        let words = if cfg!(feature = "far") { &words[..] } else { &words[..8] };
+        let words = if cfg!(feature = "remote") { &words[..] } else { &words[..8] };
         runs.good(&[words, &small].concat());
     }
     runs.good(&[&["render", &cloud, "-o", "d.png", "--write-scene", "written.json"], &small[..]].concat());
@@ -203,7 +213,7 @@ fn nothing_that_a_run_leaves_or_says_has_the_secrets_of_its_addresses() {
     runs.bad(&["render", "wrong.json", "-o", "g.png"]);
     fs::remove_file(here.path().join("wrong.json")).expect("a file");
 
-    if cfg!(feature = "far") {
+    if cfg!(feature = "remote") {
         // A scene that is written opens its data again, and says so.
         let written = here.path().join("written.json");
         let text = fs::read_to_string(&written).expect("a scene");
@@ -222,8 +232,8 @@ fn nothing_that_a_run_leaves_or_says_has_the_secrets_of_its_addresses() {
     }
     let mut found = Vec::new();
     everything(here.path(), &mut found);
-    if cfg!(feature = "far") {
-        for name in ["a.png", "b.exr", "e.1.part", "e.png", "f.rset", "stats.json", "kept", "far"] {
+    if cfg!(feature = "remote") {
+        for name in ["a.png", "b.exr", "e.1.part", "e.png", "f.rset", "stats.json", "kept", "remote"] {
             assert!(found.iter().any(|(path, _)| path.ends_with(name)), "there is no {name}");
         }
     }

@@ -98,7 +98,7 @@ impl View {
         Ok(counts)
     }
 
-    /// The first tiles of the band after one, if its files are far away: their pages are asked for
+    /// The first tiles of the band after one, if its files are remote: their pages are asked for
     /// before this one is finished, so that it does not begin with waiting.
     fn after(&self, band: &Region, band_rows: u32, region: &Region) -> Vec<Tile> {
         /// More pages than fit are not asked for.

@@ -40,7 +40,7 @@ pub struct SceneNeeds {
     thread_bytes: u64,
     /// Number of tiles of shadow tables.
     shadow_tiles: u64,
-    /// What requests take at most, if any file is far away.
+    /// What requests take at most, if any file is remote.
     request_bytes: u64,
     /// Whether tiles are made with layers, and whether the picture is written with them.
     pub(super) layers: bool,

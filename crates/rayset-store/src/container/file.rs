@@ -82,10 +82,10 @@ pub enum ScanError {
 pub struct OpenFile {
     /// The path of the file; only a name for messages if it is not a file on disk.
     path: PathBuf,
-    /// Of a far file, one that reads ahead.
+    /// Of a remote file, one that reads ahead.
     storage: Arc<dyn Storage>,
     /// `None` if the file is not far away.
-    far: Option<(Arc<dyn Storage>, Arc<dyn Transport>)>,
+    remote: Option<(Arc<dyn Storage>, Arc<dyn Transport>)>,
     header: FileHeader,
 }
 
@@ -124,7 +124,7 @@ impl OpenFile {
     pub fn over(path: &Path, storage: Arc<dyn Storage>, kind: FileKind) -> Result<Self, OpenError> {
         let io = |source| OpenError::Io { path: path.to_owned(), source };
         let wrong = |source| OpenError::Header { path: path.to_owned(), source };
-        let far = storage.transport().map(|transport| (storage.clone(), transport));
+        let remote = storage.transport().map(|transport| (storage.clone(), transport));
         let storage = read_ahead(storage).map_err(io)?;
         let found = storage.length().map_err(io)?;
         let mut head = [0; BLOCK_BYTES];
@@ -146,7 +146,7 @@ impl OpenFile {
         let mut foot = [0; BLOCK_BYTES];
         storage.read_exact_at(&mut foot, footer_at).map_err(io)?;
         Footer::check(&foot, &head, footer_at).map_err(wrong)?;
-        let mut opened = Self { path: path.to_owned(), storage, far, header };
+        let mut opened = Self { path: path.to_owned(), storage, remote, header };
         opened.check_features()?;
         Ok(opened)
     }
@@ -272,9 +272,9 @@ impl OpenFile {
         Ok(section.offset + u64::from(index) * u64::from(self.header.page_bytes))
     }
 
-    /// The file as it is, and what reads many parts of it at a time, if it is far away.
-    pub(super) fn far(&self) -> Option<(Arc<dyn Storage>, Arc<dyn Transport>)> {
-        self.far.clone()
+    /// The file as it is, and what reads many parts of it at a time, if it is remote.
+    pub(super) fn remote(&self) -> Option<(Arc<dyn Storage>, Arc<dyn Transport>)> {
+        self.remote.clone()
     }
 
     pub(super) fn ends_early(&self, at: u64, source: io::Error) -> OpenError {

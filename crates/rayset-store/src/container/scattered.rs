@@ -1,4 +1,4 @@
-//! Pages that are read here and there: of a far file many at a time, for each would take a round
+//! Pages that are read here and there: of a remote file many at a time, for each would take a round
 //! trip.
 
 use std::io;
@@ -24,7 +24,7 @@ impl OpenFile {
         pages: &[u32],
         mut take: impl FnMut(u32, u64, &[u8]) -> Result<(), E>,
     ) -> Result<(), E> {
-        let Some((storage, transport)) = self.far() else {
+        let Some((storage, transport)) = self.remote() else {
             for &page in pages {
                 let (offset, bytes) = self.page(kind, page)?;
                 take(page, offset, &bytes)?;

@@ -23,8 +23,8 @@ pub struct Destination {
 pub(super) enum Target {
     /// A file that exists and will be replaced, or that does not exist yet; never a link.
     File(PathBuf),
-    /// An object that is far away. It is written to a file in the folder for temporary files first.
-    Far(PathBuf),
+    /// A remote object. It is written to a file in the folder for temporary files first.
+    Remote(PathBuf),
     /// A pipe or a device that takes bytes one after another. It is written to, never replaced.
     Stream,
 }
@@ -44,7 +44,7 @@ impl Destination {
         let to = |target| Ok(Self { named: path.to_owned(), target });
         if let Some(address) = address_of(path) {
             address::opener(address).and_then(|opener| opener.prepare(address)).map_err(io)?;
-            return to(Target::Far(std::env::temp_dir()));
+            return to(Target::Remote(std::env::temp_dir()));
         }
         let found = match std::fs::metadata(path) {
             Ok(found) => Some(found),
@@ -86,11 +86,11 @@ impl Destination {
     }
 
     /// The folder in which the file is written, after links have been followed; the one for
-    /// temporary files if the destination is far away.
+    /// temporary files if the destination is remote.
     #[must_use]
     pub fn folder(&self) -> &Path {
         match &self.target {
-            Target::Far(folder) => folder,
+            Target::Remote(folder) => folder,
             _ => folder_of(self.written()),
         }
     }
@@ -131,7 +131,7 @@ impl Destination {
             // If it cannot be examined, it must not be replaced.
             Err(source) => Err(OutputError::Io { action: "look at", path: path.to_owned(), source }),
         };
-        if matches!(self.target, Target::Far(_)) {
+        if matches!(self.target, Target::Remote(_)) {
             let inputs: Vec<P> = inputs.into_iter().collect();
             return match inputs.iter().find(|input| input.as_ref() == self.named) {
                 Some(input) => {
@@ -161,7 +161,7 @@ impl Destination {
         if self.is_stream() {
             return Ok(None);
         }
-        if matches!(self.target, Target::Far(_)) {
+        if matches!(self.target, Target::Remote(_)) {
             return Ok(Some(self.named.clone()));
         }
         Ok(Some(self.folder().canonicalize()?.join(self.file_name())))
@@ -177,7 +177,7 @@ impl Destination {
     fn written(&self) -> &Path {
         match &self.target {
             Target::File(path) => path,
-            Target::Far(_) | Target::Stream => &self.named,
+            Target::Remote(_) | Target::Stream => &self.named,
         }
     }
 }

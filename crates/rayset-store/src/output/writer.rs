@@ -49,7 +49,7 @@ impl OutputFile {
                 // Until it has the mode of the other, which may be as strict.
                 if replaced.is_some() { Access::Private } else { Access::Usual }
             }
-            Target::Far(_) => Access::Private,
+            Target::Remote(_) => Access::Private,
             Target::Stream => Access::Usual,
         };
         let (file, partial) = if destination.is_stream() {
@@ -110,7 +110,7 @@ impl OutputFile {
         let path = match &self.destination.target {
             Target::File(path) => path,
             // The partial file is removed with this.
-            Target::Far(_) => return put(partial, self.destination.path()),
+            Target::Remote(_) => return put(partial, self.destination.path()),
             Target::Stream => return Ok(()),
         };
         if let Some(replaced) = &self.replaced {
@@ -150,7 +150,7 @@ fn keep_access(file: &File, replaced: &Metadata) -> io::Result<()> {
     }
 }
 
-/// Makes a far object of a finished file.
+/// Makes a remote object of a finished file.
 fn put(file: &Path, to: &Path) -> io::Result<()> {
     let address = address_of(to).ok_or(io::ErrorKind::InvalidInput)?;
     address::opener(address)?.put(file, address)

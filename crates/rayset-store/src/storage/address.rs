@@ -1,8 +1,8 @@
-//! Addresses of objects that are far away, such as `s3://bucket/key` and `https://host/path`,
+//! Addresses of remote objects, such as `s3://bucket/key` and `https://host/path`,
 //! wherever a path may stand.
 //!
 //! The library knows no protocol. A program that can reach such objects says so once, by
-//! [`open_addresses_with`]; the crate `rayset-far` does so for object stores and web servers.
+//! [`open_addresses_with`]; the crate `rayset-remote` does so for object stores and web servers.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -126,7 +126,7 @@ pub fn opener(address: &str) -> io::Result<&'static Arc<dyn Addresses>> {
     ADDRESSES.get().ok_or_else(|| {
         let what = format!(
             "{} is an address, and this program was built without what opens addresses: build it with `--features \
-             far`, or copy the object to a disk",
+             remote`, or copy the object to a disk",
             shown(Path::new(address))
         );
         io::Error::new(io::ErrorKind::Unsupported, what)

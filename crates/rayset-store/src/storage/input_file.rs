@@ -1,7 +1,7 @@
 //! Inputs that are read from start to end, or here and there: a file on disk, a pipe, or an object
-//! that is far away.
+//! that is remote.
 //!
-//! Far objects are read ahead: the longer a reader goes on without a jump, the more is asked for at
+//! Remote objects are read ahead: the longer a reader goes on without a jump, the more is asked for at
 //! a time, in many requests at once, so that what it reads costs the rate of the connection and not
 //! a round trip for every buffer.
 
@@ -23,7 +23,7 @@ const MOST_WINDOW: usize = 8 << 20;
 /// What a path names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Named {
-    /// A regular file or a far object, of this many bytes.
+    /// A regular file or a remote object, of this many bytes.
     File(u64),
     /// A folder.
     Folder,
@@ -47,7 +47,7 @@ pub fn look(path: &Path) -> io::Result<Named> {
     })
 }
 
-/// Whether a path or an address names a regular file or a far object.
+/// Whether a path or an address names a regular file or a remote object.
 #[must_use]
 pub fn is_file(path: &Path) -> bool {
     matches!(look(path), Ok(Named::File(_)))
@@ -60,7 +60,7 @@ pub struct InputFile(Source);
 #[derive(Debug)]
 enum Source {
     Local(File),
-    Far(Ahead, u64),
+    Remote(Ahead, u64),
 }
 
 impl InputFile {
@@ -70,7 +70,7 @@ impl InputFile {
     /// The system's error; if the path is a folder, a pipe, a socket or a device.
     pub fn open(path: &Path) -> io::Result<Self> {
         match address::address_of(path) {
-            Some(_) => Self::far(path),
+            Some(_) => Self::remote(path),
             None => Ok(Self(Source::Local(regular_file::open(path)?))),
         }
     }
@@ -81,13 +81,13 @@ impl InputFile {
     /// The system's error.
     pub fn open_any(path: &Path) -> io::Result<Self> {
         match address::address_of(path) {
-            Some(_) => Self::far(path),
+            Some(_) => Self::remote(path),
             None => Ok(Self(Source::Local(File::open(path)?))),
         }
     }
 
-    fn far(path: &Path) -> io::Result<Self> {
-        Ok(Self(Source::Far(Ahead::new(address::open(path, false)?)?, 0)))
+    fn remote(path: &Path) -> io::Result<Self> {
+        Ok(Self(Source::Remote(Ahead::new(address::open(path, false)?)?, 0)))
     }
 
     /// Its length in bytes.
@@ -97,16 +97,16 @@ impl InputFile {
     pub fn length(&self) -> io::Result<u64> {
         match &self.0 {
             Source::Local(file) => Ok(file.metadata()?.len()),
-            Source::Far(ahead, _) => Ok(ahead.length),
+            Source::Remote(ahead, _) => Ok(ahead.length),
         }
     }
 
-    /// Whether it is a regular file or a far object, which have a length and can be read anywhere.
+    /// Whether it is a regular file or a remote object, which have a length and can be read anywhere.
     #[must_use]
     pub fn is_file(&self) -> bool {
         match &self.0 {
             Source::Local(file) => file.metadata().is_ok_and(|metadata| metadata.is_file()),
-            Source::Far(..) => true,
+            Source::Remote(..) => true,
         }
     }
 
@@ -115,7 +115,7 @@ impl InputFile {
     pub fn into_storage(self) -> Arc<dyn Storage> {
         match self.0 {
             Source::Local(file) => Arc::new(FileStorage::from(file)),
-            Source::Far(ahead, _) => ahead.storage,
+            Source::Remote(ahead, _) => ahead.storage,
         }
     }
 }
@@ -124,7 +124,7 @@ impl Read for InputFile {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         match &mut self.0 {
             Source::Local(file) => file.read(buffer),
-            Source::Far(ahead, at) => {
+            Source::Remote(ahead, at) => {
                 let read = ahead.read(buffer, *at, u64::MAX)?;
                 *at += read as u64;
                 Ok(read)
@@ -137,7 +137,7 @@ impl Seek for InputFile {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         match &mut self.0 {
             Source::Local(file) => file.seek(to),
-            Source::Far(ahead, at) => {
+            Source::Remote(ahead, at) => {
                 *at = place_of(to, *at, ahead.length)?;
                 Ok(*at)
             }
@@ -151,8 +151,8 @@ impl Seek for InputFile {
 pub enum Shared {
     /// A regular file.
     Local(Arc<File>),
-    /// A far object.
-    Far(Ahead),
+    /// A remote object.
+    Remote(Ahead),
 }
 
 impl Shared {
@@ -160,7 +160,7 @@ impl Shared {
     pub fn open(path: &Path) -> io::Result<Self> {
         Ok(match InputFile::open(path)?.0 {
             Source::Local(file) => Self::Local(Arc::new(file)),
-            Source::Far(ahead, _) => Self::Far(ahead),
+            Source::Remote(ahead, _) => Self::Remote(ahead),
         })
     }
 
@@ -168,7 +168,7 @@ impl Shared {
     pub fn length(&self) -> io::Result<u64> {
         match self {
             Self::Local(file) => Ok(file.metadata()?.len()),
-            Self::Far(ahead) => Ok(ahead.length),
+            Self::Remote(ahead) => Ok(ahead.length),
         }
     }
 
@@ -180,7 +180,7 @@ impl Shared {
                 let room = buffer.len().min(left);
                 if room == 0 { Ok(0) } else { read_at(file, &mut buffer[..room], at) }
             }
-            Self::Far(ahead) => ahead.read(buffer, at, end),
+            Self::Remote(ahead) => ahead.read(buffer, at, end),
         }
     }
 }
@@ -195,7 +195,7 @@ pub fn place_of(to: SeekFrom, at: u64, end: u64) -> io::Result<u64> {
     place.ok_or_else(|| io::ErrorKind::InvalidInput.into())
 }
 
-/// The same bytes, read ahead if they are far away, for whoever reads them mostly in order.
+/// The same bytes, read ahead if they are remote, for whoever reads them mostly in order.
 pub fn read_ahead(storage: Arc<dyn Storage>) -> io::Result<Arc<dyn Storage>> {
     if storage.transport().is_none() {
         return Ok(storage);
@@ -317,7 +317,7 @@ mod tests {
     fn what_goes_on_is_read_in_ever_larger_pieces_and_jumps_begin_small() {
         let bytes: Vec<u8> = (0..20 << 20).map(|at: u32| (at % 251) as u8).collect();
         let storage = Arc::new(Counted(bytes.clone(), Mutex::default()));
-        let mut file = InputFile(Source::Far(Ahead::new(storage.clone()).expect("bytes"), 0));
+        let mut file = InputFile(Source::Remote(Ahead::new(storage.clone()).expect("bytes"), 0));
         let mut read = Vec::new();
         file.read_to_end(&mut read).expect("a read");
         assert!(read == bytes);

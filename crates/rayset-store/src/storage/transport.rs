@@ -126,7 +126,7 @@ pub trait Transport: Send + Sync {
     }
     /// Whether requests take so long that many of them should be in flight, long before rays need
     /// what they bring.
-    fn is_far(&self) -> bool {
+    fn is_remote(&self) -> bool {
         false
     }
     /// Memory that requests take at most besides the buffers that they fill, those of all

@@ -171,8 +171,8 @@ impl Object {
     }
 
     /// Whether its pages come from so far away that many should be under way at a time.
-    pub fn is_far(&self) -> bool {
-        self.transport.as_ref().is_some_and(|transport| transport.is_far())
+    pub fn is_remote(&self) -> bool {
+        self.transport.as_ref().is_some_and(|transport| transport.is_remote())
     }
 
     /// The usual time from asking for a page until it is there; zero if nothing has been read.

@@ -11,8 +11,8 @@ use rayset::storage::{Behaviour, MemoryStorage};
 use rayset::{CancelToken, RenderError, Session, View};
 
 use crate::common::{Random, settings};
-use crate::far_storage::{far, quick};
 use crate::graph::{light, scene, solid};
+use crate::remote_storage::{quick, remote};
 
 const MEMORY: u64 = 64 << 20;
 
@@ -92,7 +92,7 @@ fn parts_that_are_there_make_their_pixels_and_what_is_missing_is_transparent_and
 }
 
 #[test]
-fn parts_that_are_far_away_make_the_picture_and_several_blocks_are_on_their_way_at_a_time() {
+fn remote_parts_make_the_picture_and_several_blocks_are_on_their_way_at_a_time() {
     let behaviour =
         Behaviour { latency: Duration::from_millis(60), failing: 0.1, cut: 0.1, ..Behaviour::default() };
     let mut options = quick();
@@ -101,9 +101,9 @@ fn parts_that_are_far_away_make_the_picture_and_several_blocks_are_on_their_way_
     let (mut objects, mut parts) = (Vec::new(), Vec::new());
     for share in Share::all(2) {
         let bytes = rendered(&view, &PartOptions::new(share));
-        let (object, storage) = far(&bytes, behaviour, options);
+        let (object, storage) = remote(&bytes, behaviour, options);
         objects.push(object);
-        parts.push(Part::from_storage("far", Arc::new(storage)));
+        parts.push(Part::from_storage("remote", Arc::new(storage)));
     }
     let joined = Joined::join(parts, MEMORY).expect("all parts");
     let picture = joined.picture().expect("a picture");

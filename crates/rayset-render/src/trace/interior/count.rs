@@ -59,7 +59,7 @@ pub(super) fn count(
 struct Counting {
     program: Program,
     foresight: Foresight,
-    /// Blocks whose pages have been asked for, if they are far away: those before this one.
+    /// Blocks whose pages have been asked for, if they are remote: those before this one.
     asked: AtomicUsize,
     steps: StepRule,
     slab_samples: usize,
@@ -151,7 +151,7 @@ impl Counting {
         outcome
     }
 
-    /// Asks for the pages of the blocks from one on, if they are far away: a block that waited for
+    /// Asks for the pages of the blocks from one on, if they are remote: a block that waited for
     /// page after page would take a round trip for each.
     fn ask_ahead(&self, access: Access<'_>, number: usize) {
         const AHEAD: usize = 16;

@@ -1,5 +1,5 @@
 //! Fetching the stored bytes of blocks: one block at a time from files, many at a time from objects
-//! that are far away, where each costs a round trip.
+//! that are remote, where each costs a round trip.
 
 use std::io;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use super::error::PartError;
 use super::part::{Source, StoredBlock};
 use rayset_store::storage::Storage;
 
-/// Blocks that are fetched at a time from what is far away.
+/// Blocks that are fetched at a time from what is remote.
 pub(super) const AT_A_TIME: usize = 16;
 /// Most parts that stay open while they are read.
 const OPEN_PARTS: usize = 128;

@@ -270,9 +270,9 @@ fn damaged(source: &Source, stored: StoredBlock, region: &Region, what: &str) ->
     PartError::damaged(&source.name, stored.at, format!("columns {columns:?}, rows {rows:?}: {what}"))
 }
 
-/// Blocks that are read at a time: where the first part is far away, more than one.
+/// Blocks that are read at a time: where the first part is remote, more than one.
 fn at_a_time(part: &Part) -> usize {
-    if part.source.is_far() { AT_A_TIME } else { 1 }
+    if part.source.is_remote() { AT_A_TIME } else { 1 }
 }
 
 /// An upper bound of the bytes that joining the parts of a picture takes, given one of them.

@@ -66,10 +66,12 @@ impl Source {
     }
 
     /// Whether every read costs a round trip.
-    pub(super) fn is_far(&self) -> bool {
+    pub(super) fn is_remote(&self) -> bool {
         match &self.place {
             PartSource::Named(path) => address_of(path).is_some(),
-            PartSource::Storage(storage) => storage.transport().is_some_and(|transport| transport.is_far()),
+            PartSource::Storage(storage) => {
+                storage.transport().is_some_and(|transport| transport.is_remote())
+            }
         }
     }
 

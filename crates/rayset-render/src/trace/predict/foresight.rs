@@ -1,4 +1,4 @@
-//! What rays will need of files that are far away, all along their way: it is asked for together.
+//! What rays will need of files that are remote, all along their way: it is asked for together.
 //! Rays from the eye are looked ahead at square by square (`lookahead`); those that follow from
 //! them (mirrored and bent rays, rays to lights, rays of lights that make tables of shadows) are
 //! known only when these have been traced. So if an attempt at a tile has met a page that was not
@@ -25,7 +25,7 @@ pub(in crate::trace) struct Foresight {
     files: Vec<Arc<Object>>,
     /// Every cloud with points.
     clouds: Vec<CloudAhead>,
-    /// Every grid that is far away.
+    /// Every grid that is remote.
     grids: Vec<GridAhead>,
     /// How pages of these files are brought in.
     pub(in crate::trace) policy: &'static dyn Policy,
@@ -52,7 +52,7 @@ impl Foresight {
     /// That of a graph in which rays end at a transmittance.
     pub(in crate::trace) fn new(program: &Program, stop_transmittance: f64) -> Self {
         let stop = stop_transmittance as f32;
-        let policy = policy::of_files(program.files().any(|pages| pages.is_far()));
+        let policy = policy::of_files(program.files().any(|pages| pages.is_remote()));
         let expects = policy.expects();
         let mut files: Vec<Arc<Object>> = Vec::new();
         let mut number = |pages: &Arc<Object>| {
@@ -72,7 +72,7 @@ impl Foresight {
                     let expected = Expected::new(&volume.shading, stop, expects);
                     clouds.push(CloudAhead { at, file: number(&volume.placement.pages), expected });
                 }
-                Action::Grid(volume) if volume.pages().is_far() => {
+                Action::Grid(volume) if volume.pages().is_remote() => {
                     let opaque = if ends[at] { -stop.ln() } else { f32::INFINITY };
                     grids.push(GridAhead { at, file: number(volume.pages()), opaque });
                 }
@@ -161,7 +161,7 @@ impl Foresight {
         }
     }
 
-    /// Calls `want` with the pages of far files that some rays, at most 64, are expected to need,
+    /// Calls `want` with the pages of remote files that some rays, at most 64, are expected to need,
     /// and the indices of the files; `reach` is a factor on the optical depth with which they are
     /// expected to have ended. Returns whether that is all: not if pages are absent that say what
     /// lies behind them.
@@ -174,7 +174,7 @@ impl Foresight {
         mut want: impl FnMut(u32, u32),
     ) -> bool {
         let mut complete = true;
-        for (cloud, file, expected) in self.clouds(program).filter(|(cloud, ..)| cloud.pages.is_far()) {
+        for (cloud, file, expected) in self.clouds(program).filter(|(cloud, ..)| cloud.pages.is_remote()) {
             let mut want_node = |node: &Node| cloud.own_pages_at_most(node).for_each(|page| want(file, page));
             let mut nodes = NodesInMemory::new(pages, cloud);
             let local: Vec<Ray> = rays.iter().map(|ray| cloud.local_ray(ray)).collect();

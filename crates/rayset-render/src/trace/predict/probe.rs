@@ -252,7 +252,7 @@ pub(super) struct Expected {
 
 impl Expected {
     /// The effect with a safety factor on the optical depth: densities vary, and a page that is
-    /// read in vain costs less than one that has to be waited for, the more so if it is far away.
+    /// read in vain costs less than one that has to be waited for, the more so if it is remote.
     pub(super) fn new(shading: &CloudShading, stop_transmittance: f32, expects: Expects) -> Self {
         Self {
             transfer: shading.opacity.clone(),

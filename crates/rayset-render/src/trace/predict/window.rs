@@ -1,4 +1,4 @@
-//! Looking ahead in files that are far away: pages are asked for as early as there is room for
+//! Looking ahead in files that are remote: pages are asked for as early as there is room for
 //! them, and stay until rays have passed.
 //!
 //! The window reaches from the first tile that is not finished to the last one whose pages have
@@ -127,7 +127,7 @@ impl Lookahead<'_> {
         self.object(file).is_some_and(|object| self.pages.let_go(object, page))
     }
 
-    /// Asks for all node pages of far clouds, if they are few, and for all ranges of bricks of far
+    /// Asks for all node pages of remote clouds, if they are few, and for all ranges of bricks of remote
     /// grids likewise, and keeps them as long as the picture is made: walking down the octree page
     /// by page would take a round trip for each level.
     fn bring_nodes(&self, found: &mut Found) {
@@ -135,7 +135,7 @@ impl Lookahead<'_> {
         let clouds = foresight.clouds(program).map(|(cloud, file, _)| (file, cloud.first_node_page));
         let grids = foresight.grids(program).map(|(grid, file, _)| (file, grid.first_ranges_page()));
         for (file, first) in clouds.chain(grids) {
-            let Some(object) = self.object(file).filter(|object| object.is_far()) else { continue };
+            let Some(object) = self.object(file).filter(|object| object.is_remote()) else { continue };
             let nodes: Vec<u32> = (first..object.pages()).rev().collect();
             let most = self.pages.share_bytes() / NODES;
             let is_known = found.nodes_to_let_go.iter().any(|page| page.file == file);
