@@ -17,7 +17,9 @@ use crate::render;
 use rayset_inputs::style::Style;
 use rayset_inputs::values;
 
-use crate::{generate, report};
+use rayset_terminal::ply;
+
+use crate::report;
 
 /// Make a cloud larger than its memory budget, build it, render it, and say what the working set
 /// did.
@@ -78,7 +80,7 @@ fn make(args: &DemoArgs, folder: &Path) -> Result<()> {
 pub(crate) fn make_cloud(workload: &Workload, memory: u64, folder: &Path) -> Result<PathBuf> {
     let (points, cloud) = (folder.join("points.ply"), folder.join("cloud.rset"));
     report::say(format_args!("1. generate {} points", report::count(workload.points())));
-    generate::write_source(&mut *workload.source(), &Destination::new(&points)?)?;
+    ply::write_source(&mut *workload.source(), &Destination::new(&points)?)?;
 
     report::say(format_args!("2. build their octree on disk, within {}", report::bytes(memory)));
     let options = BuildOptions::default()

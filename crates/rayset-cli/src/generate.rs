@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use rayset::output::Destination;
-use rayset::points::{MeshSource, PlyWriter, PointBatch, PointSource, Workload};
+use rayset::points::{MeshSource, Workload};
+use rayset_terminal::ply::write_source;
 
 use crate::outputs::Outputs;
 use crate::report;
@@ -52,19 +52,4 @@ fn from_mesh(args: &GenerateArgs) -> Result<()> {
     let count = write_source(&mut MeshSource::open(mesh, points)?, &to)?;
     report::say(format_args!("{}: {} points", path.display(), report::count(count)));
     Ok(())
-}
-
-/// Writes points with all their columns; returns their number.
-pub(crate) fn write_source(source: &mut dyn PointSource, to: &Destination) -> Result<u64> {
-    let attributes = source.schema().names().map(str::to_owned).collect::<Vec<_>>();
-    source.select(&(0..attributes.len()).collect::<Vec<_>>());
-    let mut writer = PlyWriter::create(to, &attributes, source.count_hint().unwrap_or(0))?;
-    let mut batch = PointBatch::default();
-    loop {
-        source.fill(&mut batch, 1 << 14)?;
-        if batch.is_empty() {
-            return Ok(writer.finish()?);
-        }
-        writer.write(&batch)?;
-    }
 }

@@ -91,9 +91,3 @@ impl Host for Program<'_> {
         Outputs::beside(inputs).add(output, None).map(drop)
     }
 }
-
-impl rayset_inputs::TemporaryFolder for TemporaryFolder {
-    fn path(&self) -> &Path {
-        self.path()
-    }
-}

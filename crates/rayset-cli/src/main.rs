@@ -2,10 +2,6 @@
 //! holds.
 
 mod annotate;
-mod bench;
-mod bench_cloud;
-mod bench_features;
-mod bench_scenes;
 mod budget;
 mod build;
 mod build_parts;
@@ -13,24 +9,17 @@ mod check;
 mod demo;
 #[cfg(test)]
 mod documents;
-mod figure;
 mod generate;
 mod histogram;
 mod info;
 mod input;
 mod input_args;
-mod interrupts;
 mod manual;
-mod memory;
 mod merge;
 mod option_args;
-mod outputs;
 mod part_note;
-mod progress;
 mod remote;
 mod render;
-mod report;
-mod statistics;
 mod verify;
 #[cfg(feature = "view")]
 mod view;
@@ -38,6 +27,7 @@ mod view;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
+use rayset_terminal::{interrupts, memory, outputs, progress, report, statistics};
 
 /// Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 ///
@@ -77,9 +67,11 @@ enum Command {
     #[cfg(feature = "view")]
     View(Box<view::ViewArgs>),
     /// Make a figure of the paper
-    Figure(figure::FigureArgs),
+    #[cfg(feature = "lab")]
+    Figure(rayset_lab::figure::FigureArgs),
     /// Build and render the standard workloads, and say how long it took
-    Bench(bench::BenchArgs),
+    #[cfg(feature = "lab")]
+    Bench(rayset_lab::bench::BenchArgs),
     /// Write a completion script for a shell to standard output
     Completions(manual::CompletionsArgs),
     /// Write the manual pages
@@ -128,8 +120,10 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Merge(args) => merge::run(&args),
         #[cfg(feature = "view")]
         Command::View(args) => view::run(&args),
-        Command::Figure(args) => figure::run(&args),
-        Command::Bench(args) => bench::run(&args),
+        #[cfg(feature = "lab")]
+        Command::Figure(args) => rayset_lab::figure::run(&args),
+        #[cfg(feature = "lab")]
+        Command::Bench(args) => rayset_lab::bench::run(&args),
         Command::Completions(args) => manual::completions(&args, Cli::command()),
         Command::Man(args) => manual::man(&args, Cli::command()),
     }

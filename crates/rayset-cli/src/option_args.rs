@@ -24,6 +24,7 @@ pub(crate) trait Selection: Clone + Default + Send + Sync + 'static {
 pub(crate) struct OfInput;
 
 /// The same, without those of the picture.
+#[cfg(feature = "view")]
 #[derive(Clone, Default)]
 pub(crate) struct WithoutPicture;
 
@@ -42,6 +43,7 @@ impl Selection for OfInput {
     }
 }
 
+#[cfg(feature = "view")]
 impl Selection for WithoutPicture {
     fn heading(group: Group) -> Option<&'static str> {
         OfInput::heading(group).filter(|_| group != Group::Picture)

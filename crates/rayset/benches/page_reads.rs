@@ -23,7 +23,8 @@ use rayset::scene::{
 use rayset::trace::predict::{Lookahead, NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind};
-use rayset::working_set::{Limits, WorkingSet, least_reads};
+use rayset::working_set::{Limits, WorkingSet};
+use rayset_lab::requests::{RequestLog, least_reads};
 
 /// A workload, translucent or not, in a picture of so many pixels along each side, and the parts of
 /// its pages that fit.
@@ -65,13 +66,13 @@ fn main() {
 
 /// Notes where the requests of each tile begin, and predicts nothing.
 struct Marks {
-    set: WorkingSet,
+    log: Arc<RequestLog>,
     tiles: Mutex<Vec<usize>>,
 }
 
 impl Predictor for Marks {
     fn ahead(&self, _: Lookahead<'_>, _: usize) {
-        self.tiles.lock().expect("nobody panicked").push(self.set.recorded_requests());
+        self.tiles.lock().expect("nobody panicked").push(self.log.len());
     }
     fn slabs_on_a_miss(&self) -> u64 {
         0
@@ -123,10 +124,11 @@ impl Case {
     /// The pages that each tile asks for, one after the other.
     fn requests(&self, cloud: &Arc<Cloud>) -> Vec<Vec<u32>> {
         let paged = paged(cloud, cloud.header().file_bytes);
-        let marks = Arc::new(Marks { set: paged.pages.clone(), tiles: Mutex::default() });
-        paged.pages.record_requests();
+        let log = RequestLog::of(&paged.pages);
+        let marks = Arc::new(Marks { log: log.clone(), tiles: Mutex::default() });
+        log.begin();
         self.render(cloud, marks.clone(), &paged);
-        let requests: Vec<u32> = paged.pages.take_requests().iter().map(|request| request.page).collect();
+        let requests: Vec<u32> = log.end().iter().map(|request| request.page).collect();
         let mut marks = marks.tiles.lock().expect("nobody panicked").clone();
         marks.push(requests.len());
         let tiles = marks.windows(2).map(|ends| {

@@ -22,10 +22,11 @@ use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
 };
 use rayset::scene_file::SceneFile;
-use rayset::storage::{Behaviour, FileStorage, RemoteOptions, RemoteStorage, SimulatedObject, Storage};
+use rayset::storage::{FileStorage, RemoteOptions, RemoteStorage, Storage};
 use rayset::volumes::VolumeSource;
 use rayset::working_set::Limits;
 use rayset::{Cloud, Grid, Prediction, Session};
+use rayset_lab::simulated::{Behaviour, SimulatedObject};
 
 const LATENCY: Duration = Duration::from_millis(50);
 const IN_FLIGHT: u64 = 64;

@@ -28,12 +28,14 @@ use rayset::points::{MeshSource, PointSource};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
 };
-use rayset::storage::{Behaviour, FileStorage, RemoteOptions, RemoteStorage, SimulatedObject, Storage};
+use rayset::storage::{FileStorage, RemoteOptions, RemoteStorage, Storage};
 use rayset::trace::predict::{Lookahead, NoPredictor, Predictor};
 use rayset::trace::{ExecSettings, render_once};
 use rayset::working_set::read::{self, BackendKind};
 use rayset::working_set::{Limits, WorkingSet};
 use rayset::{CancelToken, Session};
+use rayset_lab::requests::RequestLog;
+use rayset_lab::simulated::{Behaviour, SimulatedObject};
 use serde_json::json;
 
 fn main() {
@@ -92,13 +94,13 @@ fn make_cloud(options: &Options<'_>) {
 
 /// Notes when each tile begins, and where its requests do; predicts nothing.
 struct Marks {
-    set: WorkingSet,
+    log: Arc<RequestLog>,
     tiles: Mutex<Vec<(usize, usize, Instant)>>,
 }
 
 impl Predictor for Marks {
     fn ahead(&self, _: Lookahead<'_>, tile: usize) {
-        let requests = self.set.recorded_requests();
+        let requests = self.log.len();
         self.tiles.lock().expect("nobody panicked").push((tile, requests, Instant::now()));
     }
     fn slabs_on_a_miss(&self) -> u64 {
@@ -144,21 +146,22 @@ fn trace(options: &Options<'_>) {
     paged.open(&cloud, false).expect("the cloud opens");
     let edge = options.number("unit", 32.0) as u32;
     let mut frames = Vec::new();
+    let log = RequestLog::of(&paged.pages);
     for frame in 0..options.number("frames", 1.0) as u32 {
         let (scene, settings, camera) =
             scene(options, &cloud, options.number("turn", 0.0) * f64::from(frame));
         let still = ExecSettings { threads: 1, predictor: Arc::new(NoPredictor), ..ExecSettings::default() };
         render_once(&scene, &camera, &settings, &still, &paged).expect("a picture");
-        let marks = Arc::new(Marks { set: paged.pages.clone(), tiles: Mutex::default() });
+        let marks = Arc::new(Marks { log: log.clone(), tiles: Mutex::default() });
         let exec = ExecSettings { predictor: marks.clone(), ..still };
         let session = Session::over(paged.clone(), exec.clone()).expect("a session");
         let view = session.prepare(&scene, &settings).expect("a scene").view(&camera).expect("a view");
         let tiles = view.tiles(&view.region());
         drop((view, session));
-        paged.pages.record_requests();
+        log.begin();
         let (_, counts) = render_once(&scene, &camera, &settings, &exec, &paged).expect("a picture");
         let ended = Instant::now();
-        let requests = paged.pages.take_requests();
+        let requests = log.end();
         let mut starts = marks.tiles.lock().expect("nobody panicked").clone();
         starts.push((0, requests.len(), ended));
         let mut blocks: BTreeMap<(u32, u32), (u128, BTreeSet<u32>)> = BTreeMap::new();

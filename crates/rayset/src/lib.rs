@@ -62,8 +62,6 @@ pub mod volumes;
 pub use rayset_base::CancelToken;
 pub use rayset_base::parse::ParseError;
 pub use rayset_files::{Cloud, Grid};
-#[doc(hidden)]
-pub use rayset_render::field::{BARE_SAMPLES, bare_loop};
 pub use rayset_render::field::{SimdLevel, SplatCounts};
 pub use rayset_render::trace::{
     BandSink, FinishedTile, Picture, Prediction, PreparedScene, Region, RenderCounts, RenderError, Session,

@@ -13,6 +13,6 @@ pub use rayset_store::storage::{
 };
 #[doc(hidden)]
 pub use rayset_store::storage::{
-    Behaviour, InputFile, Named, OVERHEAD_BYTES, PageBuffer, Rate, SimulatedCounts, SimulatedObject,
-    address_of, beside, is_file, local, look, look_again, open, redacted, shown, transport,
+    InputFile, Named, OVERHEAD_BYTES, PageBuffer, address_of, beside, is_file, local, look, look_again, open,
+    redacted, shown, transport,
 };

@@ -25,7 +25,6 @@ use self::report::RenderReport;
 use self::sanity::{Census, Circumstances};
 use self::shot::Shot;
 pub(crate) use self::sink::{Format, PictureSink};
-pub(crate) use self::work::PredictorArg;
 use self::work::Work;
 use crate::annotate::{Mount, Overlay};
 use crate::outputs::{self, Outputs};

@@ -16,7 +16,8 @@ use axum::extract::{DefaultBodyLimit, Path, RawQuery, State};
 use axum::http::{HeaderMap, Method, Response, StatusCode};
 use bytes::Bytes;
 use futures_util::stream;
-use rayset::storage::{FileStorage, MemoryStorage, Rate, Storage};
+use rayset::storage::{FileStorage, MemoryStorage, Storage};
+use rayset_lab::simulated::Rate;
 
 #[path = "bucket.rs"]
 mod bucket;

@@ -1,7 +1,6 @@
 //! The density field of a cloud, evaluated along rays: kernels, splatting of runs onto packets of
 //! rays, and the brute-force reference that all of it is tested against.
 
-mod bare;
 mod batch;
 mod columns;
 mod counts;
@@ -19,7 +18,6 @@ mod splat;
 mod splat_wide;
 mod sums;
 
-pub use bare::{BARE_SAMPLES, bare_loop};
 pub use batch::{BATCH_BYTES, RunBatch};
 pub use counts::SplatCounts;
 pub use kernel::Kernel;

@@ -77,7 +77,10 @@ impl SimdLevel {
         matches!(self.name(), "avx512" | "avx2" | "neon")
     }
 
-    pub(crate) fn level(self) -> Level {
+    /// The class as `fearless_simd` has it.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn level(self) -> Level {
         self.0
     }
 }

@@ -30,7 +30,6 @@ pub use self::buffer::{OVERHEAD_BYTES, PageBuffer};
 pub use self::file::FileStorage;
 pub use self::input_file::{InputFile, Named, is_file, look};
 pub use self::memory::MemoryStorage;
-pub use self::remote::{Behaviour, Rate, SimulatedCounts, SimulatedObject};
 pub use self::remote::{
     RangeError, RangeReader, RangeSink, RemoteCounts, RemoteOptions, RemoteStorage, RequestLimit,
 };

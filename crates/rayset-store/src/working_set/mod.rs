@@ -24,8 +24,6 @@ mod entry;
 mod eviction;
 mod guard;
 mod hints;
-#[cfg(feature = "internals")]
-mod log;
 #[cfg(all(test, feature = "model"))]
 mod models;
 mod object;
@@ -45,8 +43,6 @@ use std::time::Duration;
 pub use self::budget::Limits;
 pub use self::client::PageClient;
 pub use self::guard::PageGuard;
-#[cfg(feature = "internals")]
-pub use self::log::{Requested, least_reads};
 pub use self::object::Object;
 pub use self::reuse::Reuse;
 use self::shared::Shared;
@@ -152,24 +148,11 @@ impl WorkingSet {
         self.shared.lock_waits.load(Ordering::Relaxed)
     }
 
-    /// Records requests for pages from now on.
+    /// Calls a function with each request for a page from now on, by whichever thread makes it. The
+    /// first such function stays.
     #[cfg(feature = "internals")]
-    pub fn record_requests(&self) {
-        self.shared.log.begin();
-    }
-
-    /// Number of requests recorded so far.
-    #[cfg(feature = "internals")]
-    #[must_use]
-    pub fn recorded_requests(&self) -> usize {
-        self.shared.log.len()
-    }
-
-    /// Ends recording; returns the requests in the order in which they were made.
-    #[cfg(feature = "internals")]
-    #[must_use]
-    pub fn take_requests(&self) -> Vec<Requested> {
-        self.shared.log.end()
+    pub fn observe_requests(&self, observer: impl Fn(&Arc<Object>, u32) + Send + Sync + 'static) {
+        let _ = self.shared.observer.set(Box::new(observer));
     }
 
     /// Evicts everything that is not retained.

@@ -49,7 +49,9 @@ impl PageClient {
             return found.map(PageGuard::from);
         }
         #[cfg(feature = "internals")]
-        self.shared.log.note(object, page);
+        if let Some(observer) = self.shared.observer.get() {
+            observer(object, page);
+        }
         let counters = self.shared.counters_of(object, page);
         let mut slot = object.slot(page);
         match &*slot {

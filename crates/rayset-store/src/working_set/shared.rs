@@ -27,8 +27,12 @@ pub(super) struct Shared {
     /// How often a thread had to wait for the lock of the pool or of a slot.
     pub(super) lock_waits: Arc<AtomicU64>,
     #[cfg(feature = "internals")]
-    pub(super) log: super::log::RequestLog,
+    pub(super) observer: std::sync::OnceLock<Observer>,
 }
+
+/// Is told of each request for a page.
+#[cfg(feature = "internals")]
+type Observer = Box<dyn Fn(&Arc<Object>, u32) + Send + Sync>;
 
 impl Shared {
     pub(super) fn new(limits: Limits, backend: Arc<dyn Transport>, patience: Duration) -> Self {
@@ -42,7 +46,7 @@ impl Shared {
             hits: Mutex::default(),
             lock_waits,
             #[cfg(feature = "internals")]
-            log: Default::default(),
+            observer: Default::default(),
         }
     }
 

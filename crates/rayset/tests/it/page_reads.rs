@@ -9,16 +9,16 @@ use rayset::scene::{CloudObject, ColorRule, Lighting, OpacityRule, Scene, Transf
 use rayset::trace::memory::least_pages;
 use rayset::trace::predict::{Lookahead, NoPredictor, PacketPredictor, Predictor};
 use rayset::trace::{ExecSettings, render_once};
-use rayset::working_set::{Requested, WorkingSet, least_reads};
+use rayset_lab::requests::{RequestLog, Requested, least_reads};
 
 use crate::common::{bits, build_at, camera, folder, paged, plain_picture, settings};
 
 /// Notes how many requests each tile begins after, and predicts nothing.
-struct Marks(WorkingSet, Mutex<Vec<usize>>);
+struct Marks(Arc<RequestLog>, Mutex<Vec<usize>>);
 
 impl Predictor for Marks {
     fn ahead(&self, _: Lookahead<'_>, _: usize) {
-        self.1.lock().expect("nobody panicked").push(self.0.recorded_requests());
+        self.1.lock().expect("nobody panicked").push(self.0.len());
     }
     fn slabs_on_a_miss(&self) -> u64 {
         0
@@ -61,8 +61,9 @@ fn reads(scene: &Scene, fit: u64) -> Reads {
     let settings = settings(48, 48);
     let page = u64::from(crate::common::clouds_of(scene)[0].header().page_bytes);
     let all = paged(scene, 1 << 30);
-    all.pages.record_requests();
-    let marks = Arc::new(Marks(all.pages.clone(), Mutex::default()));
+    let log = RequestLog::of(&all.pages);
+    log.begin();
+    let marks = Arc::new(Marks(log.clone(), Mutex::default()));
     render_once(scene, &camera(), &settings, &exec(marks.clone()), &all).expect("a picture");
     assert_eq!(marks.1.lock().expect("nobody panicked").len(), 36, "tiles, each attempted once");
     let expected = bits(&plain_picture(scene, &settings));
@@ -74,7 +75,7 @@ fn reads(scene: &Scene, fit: u64) -> Reads {
         paged.pages.statistics().total(|kind| kind.reads)
     };
     Reads {
-        requests: all.pages.take_requests(),
+        requests: log.end(),
         none: of(Arc::new(NoPredictor)),
         packet: of(Arc::new(PacketPredictor::default())),
     }

@@ -7,8 +7,9 @@ use std::time::Duration;
 use rayset::geometry::DVec3;
 use rayset::parts::{Joined, Part, PartError, PartOptions, Share};
 use rayset::scene::{Camera, Form, LightKind, Node, Operator, RenderSettings, Scene, Step};
-use rayset::storage::{Behaviour, MemoryStorage};
+use rayset::storage::MemoryStorage;
 use rayset::{CancelToken, RenderError, Session, View};
+use rayset_lab::simulated::Behaviour;
 
 use crate::common::{Random, settings};
 use crate::graph::{light, scene, solid};

@@ -10,11 +10,12 @@ use rayset::file::VoxelKind;
 use rayset::geometry::{DAffine3, DVec3};
 use rayset::points::Workload;
 use rayset::scene_file::SceneFile;
-use rayset::storage::{Behaviour, FileStorage, RemoteOptions, RemoteStorage, SimulatedObject, Storage};
+use rayset::storage::{FileStorage, RemoteOptions, RemoteStorage, Storage};
 use rayset::trace::Picture;
 use rayset::volumes::VolumeSource;
 use rayset::working_set::Limits;
 use rayset::{CancelToken, Cloud, Grid, Session};
+use rayset_lab::simulated::{Behaviour, SimulatedObject};
 
 /// Voxels along a side of the grid.
 const SIDE: u64 = 96;

@@ -11,11 +11,11 @@ use rayset::build::{self, BuildControl, BuildOptions};
 use rayset::points::Workload;
 use rayset::scene::{Camera, CloudObject, RenderSettings, Scene};
 use rayset::storage::{
-    Behaviour, MemoryStorage, RangeError, RangeReader, RangeSink, RemoteOptions, RemoteStorage, RequestLimit,
-    SimulatedObject, Storage,
+    MemoryStorage, RangeError, RangeReader, RangeSink, RemoteOptions, RemoteStorage, RequestLimit, Storage,
 };
 use rayset::working_set::Limits;
 use rayset::{Cloud, Prediction, Session};
+use rayset_lab::simulated::{Behaviour, SimulatedObject};
 
 fn bytes(count: usize) -> Vec<u8> {
     (0..count).map(|i| (i * 7 + i / 251) as u8).collect()

@@ -4,8 +4,7 @@
 //! A [`RangeReader`] knows how to start reading a range of one object; [`RemoteStorage`] makes a
 //! [`Storage`] of it. Its `queue` joins reads to requests, its `engine` starts them, at a `pace`
 //! that the server bears and within a `limit` that objects share, and tries again what failed, a
-//! `flight` is a request on its way, `simulated` is an object that is only as far away as a test
-//! wants it to be, `unread` tells errors of reading from errors in what was read.
+//! `flight` is a request on its way, `unread` tells errors of reading from errors in what was read.
 
 mod counts;
 mod engine;
@@ -15,7 +14,6 @@ mod options;
 mod pace;
 mod queue;
 mod reader;
-mod simulated;
 mod unread;
 
 use std::io;
@@ -28,7 +26,6 @@ pub use self::limit::RequestLimit;
 pub use self::options::RemoteOptions;
 use self::queue::PendingRead;
 pub use self::reader::{RangeError, RangeReader, RangeSink};
-pub use self::simulated::{Behaviour, Rate, SimulatedCounts, SimulatedObject};
 pub use self::unread::{copy_of_reading, is_of_reading};
 use super::buffer::PageBuffer;
 use super::transport::{Read, Storage, Transport, ends_early};

@@ -15,12 +15,12 @@ use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadError, ReadO
 use rayset::scene::{NoiseCloud, Pattern, Procedural};
 use rayset::volumes::{self, RawLayout, VolumeSource};
 
-use crate::interrupts::{self, TemporaryFolder};
-use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
-use crate::outputs::{self, Outputs};
 use rayset_inputs::values;
+use rayset_terminal::interrupts::{self, TemporaryFolder};
+use rayset_terminal::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
+use rayset_terminal::outputs::{self, Outputs};
 
-use crate::{generate, report};
+use rayset_terminal::{ply, report};
 
 /// A figure: its number, its scene and what it shows.
 struct Figure {
@@ -79,7 +79,7 @@ const STATUE_RADII: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 6.0];
 /// Without --scan and --volume it makes data of its own. The data and the scene stay in the folder
 /// given with --data.
 #[derive(Args)]
-pub(crate) struct FigureArgs {
+pub struct FigureArgs {
     /// 1, 2, 3, 4, 5, 10 or 11
     number: u32,
     /// Picture to write; figN.png by default
@@ -117,7 +117,11 @@ pub(crate) struct FigureArgs {
     memory: u64,
 }
 
-pub(crate) fn run(args: &FigureArgs) -> Result<()> {
+/// Makes the data of a figure and renders it.
+///
+/// # Errors
+/// Whatever ends a build or a render.
+pub fn run(args: &FigureArgs) -> Result<()> {
     let Some(figure) = FIGURES.iter().find(|figure| figure.number == args.number) else {
         bail!("there is no figure {}; there are 1, 2, 3, 4, 5, 10 and 11", args.number);
     };
@@ -257,12 +261,12 @@ impl Preparation<'_> {
             match &self.args.scan {
                 None => {
                     let vase: Workload = format!("vase-{STATUE_POINTS}").parse()?;
-                    generate::write_source(&mut *vase.source(), &to)?;
+                    ply::write_source(&mut *vase.source(), &to)?;
                 }
                 Some(mesh) => {
                     let by = standing(&mut MeshSource::open(mesh, 100_000)?, self.args.scan_pose())?;
                     let source = Box::new(MeshSource::open(mesh, STATUE_POINTS)?);
-                    generate::write_source(&mut Moved { source, by, selected: Vec::new() }, &to)?;
+                    ply::write_source(&mut Moved { source, by, selected: Vec::new() }, &to)?;
                 }
             }
         }

@@ -29,12 +29,12 @@ fn watched() -> MutexGuard<'static, Watched> {
 }
 
 /// Makes signals remove what is being written for an output.
-pub(crate) fn watch(output: &Destination, temp_dir: Option<&Path>) {
+pub fn watch(output: &Destination, temp_dir: Option<&Path>) {
     watched().outputs.push((output.clone(), temp_dir.map(Path::to_owned)));
 }
 
 /// Runs a command to its end; a signal ends the command, too.
-pub(crate) fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
+pub fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
     let mut child = command.spawn()?;
     watched().child = Some(child.id());
     let status = child.wait();
@@ -44,16 +44,16 @@ pub(crate) fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
 
 /// A temporary folder. It is removed when dropped, when a signal arrives, and by the next run if
 /// this one is killed.
-pub(crate) struct TemporaryFolder(OwnFolder);
+pub struct TemporaryFolder(OwnFolder);
 
 impl TemporaryFolder {
     /// Creates one in the system's folder for temporary files.
-    pub(crate) fn new(purpose: &str) -> Result<Self> {
+    pub fn new(purpose: &str) -> Result<Self> {
         Self::within(&std::env::temp_dir(), purpose)
     }
 
     /// Creates one in another folder.
-    pub(crate) fn within(all: &Path, purpose: &str) -> Result<Self> {
+    pub fn within(all: &Path, purpose: &str) -> Result<Self> {
         // Locked while the folder is created, so that no signal finds it created but not
         // registered.
         let mut watched = watched();
@@ -63,8 +63,16 @@ impl TemporaryFolder {
         Ok(Self(folder))
     }
 
-    pub(crate) fn path(&self) -> &Path {
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
         self.0.path()
+    }
+}
+
+impl rayset_inputs::TemporaryFolder for TemporaryFolder {
+    fn path(&self) -> &Path {
+        self.path()
     }
 }
 
@@ -77,7 +85,7 @@ impl Drop for TemporaryFolder {
 }
 
 #[cfg(unix)]
-pub(crate) use self::unix::{install, wait_if_ending};
+pub use self::unix::{install, wait_if_ending};
 
 #[cfg(unix)]
 mod unix {
@@ -100,7 +108,7 @@ mod unix {
 
     /// Starts to listen to signals. Signals that were ignored when this process was started, as by
     /// `nohup`, stay ignored.
-    pub(crate) fn install() -> Result<()> {
+    pub fn install() -> Result<()> {
         let doing = "cannot listen to signals";
         let ignored = ignored_signals();
         let wanted: Vec<(i32, &str)> =
@@ -169,7 +177,7 @@ mod unix {
 
     /// If a signal has been received, waits for the thread that handles signals to end the process:
     /// a command may have failed only because its files were removed.
-    pub(crate) fn wait_if_ending() {
+    pub fn wait_if_ending() {
         while ENDING.load(Ordering::SeqCst) {
             std::thread::park();
         }
@@ -177,9 +185,9 @@ mod unix {
 }
 
 #[cfg(not(unix))]
-pub(crate) fn install() -> Result<()> {
+pub fn install() -> Result<()> {
     Ok(())
 }
 
 #[cfg(not(unix))]
-pub(crate) fn wait_if_ending() {}
+pub fn wait_if_ending() {}

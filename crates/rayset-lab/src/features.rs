@@ -13,9 +13,9 @@ use rayset::scene::{
 };
 use rayset::{CancelToken, Picture, RenderCounts, SessionBuilder};
 
-use crate::bench_cloud::median;
-use crate::memory::process_cpu_seconds;
-use crate::report;
+use crate::workloads::median;
+use rayset_terminal::memory::process_cpu_seconds;
+use rayset_terminal::report;
 
 /// Bytes for pages: enough that nothing is ever evicted.
 const PAGES: u64 = 1 << 32;

@@ -16,12 +16,12 @@ use rayset::scene_file::SceneFile;
 use rayset::volumes::RawLayout;
 use rayset::{CancelToken, Picture, RenderCounts, Session, SimdLevel};
 
-use crate::bench_cloud::median;
-use crate::interrupts;
-use crate::memory::{peak_rss, process_cpu_seconds, reset_peak_rss};
-use crate::outputs::{self, Outputs};
-use crate::report;
-use crate::statistics::{PageStatistics, WorkStatistics};
+use crate::workloads::median;
+use rayset_terminal::interrupts;
+use rayset_terminal::memory::{peak_rss, process_cpu_seconds, reset_peak_rss};
+use rayset_terminal::outputs::{self, Outputs};
+use rayset_terminal::report;
+use rayset_terminal::statistics::{PageStatistics, WorkStatistics};
 
 /// Bytes for pages: enough that nothing is ever evicted.
 const PAGES: u64 = 1 << 32;
@@ -189,25 +189,25 @@ fn prepare(options: &Options<'_>) -> Result<Vec<(String, PathBuf)>> {
             }
             grid(folder, side)?;
             let spacing = 1.0 / (side - 1) as f64;
-            let text = include_str!("bench_scenes/grid.json");
+            let text = include_str!("scenes/grid.json");
             let text = text.replace("LIGHTS", lights).replace("STEP", &(0.9 * spacing).to_string());
             let text =
                 text.replace("FILE", &format!("grid-{side}.rset")).replace("SCALE", &spacing.to_string());
             add(&name, &text)?;
         }
     }
-    add("ct-in-scan", include_str!("bench_scenes/ct-in-scan.json"))?;
+    add("ct-in-scan", include_str!("scenes/ct-in-scan.json"))?;
     for number in [1, 2, 4, 10, 11] {
         let text = fs::read_to_string(folder.join(format!("fig{number}.json")))?;
         add(&format!("figure-{number}"), &text)?;
     }
     add("mirrors", include_str!("../../../examples/mirrors.json"))?;
-    let lights = include_str!("bench_scenes/three-lights.json");
+    let lights = include_str!("scenes/three-lights.json");
     for (shadows, size) in [("cached", "[512, 512]"), ("exact", "[256, 256]")] {
         let text = lights.replace("SHADOWS", shadows).replace("SIZE", size);
         add(&format!("three-lights-{shadows}"), &text)?;
     }
-    add("glass", include_str!("bench_scenes/glass.json"))?;
+    add("glass", include_str!("scenes/glass.json"))?;
     Ok(scenes)
 }
 

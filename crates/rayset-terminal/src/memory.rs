@@ -5,7 +5,7 @@
 /// page that is used: 8.5 to 9.5 MiB on Linux, and a mebibyte less if all of it was optimised at
 /// once. The code of an unoptimised build is larger; so is that of a program that opens addresses,
 /// though it opens none, by up to two mebibytes.
-pub(crate) const PROCESS_BYTES: u64 = match (cfg!(debug_assertions), cfg!(feature = "remote")) {
+pub const PROCESS_BYTES: u64 = match (cfg!(debug_assertions), cfg!(feature = "remote")) {
     (false, false) => 20 << 19,
     (false, true) => 23 << 19,
     (true, false) => 21 << 19,
@@ -13,20 +13,20 @@ pub(crate) const PROCESS_BYTES: u64 = match (cfg!(debug_assertions), cfg!(featur
 };
 
 /// Largest resident set so far in bytes, if the system reports it.
-pub(crate) fn peak_rss() -> Option<u64> {
+pub fn peak_rss() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     line.split_ascii_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
 }
 
 /// Resets the peak to the present, if the system allows it.
-pub(crate) fn reset_peak_rss() {
+pub fn reset_peak_rss() {
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 
 /// Processor time that this process has taken so far, in all of its threads; not a number where the
 /// system does not say.
-pub(crate) fn process_cpu_seconds() -> f64 {
+pub fn process_cpu_seconds() -> f64 {
     #[cfg(unix)]
     {
         let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
@@ -40,7 +40,7 @@ pub(crate) fn process_cpu_seconds() -> f64 {
 /// although it is unused: one arena for all threads, and large blocks always returned to the
 /// system.
 #[expect(unsafe_code, reason = "the only way to the allocator's settings")]
-pub(crate) fn tame_allocator() {
+pub fn tame_allocator() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
         const LARGE_BLOCK_BYTES: i32 = 64 << 10;

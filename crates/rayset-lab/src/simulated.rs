@@ -8,8 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::reader::{RangeError, RangeReader, RangeSink};
-use crate::storage::transport::Storage;
+use rayset::storage::{RangeError, RangeReader, RangeSink, Storage};
 
 /// How a simulated object answers.
 #[derive(Clone, Copy, Debug, Default)]

@@ -6,14 +6,18 @@ use rayset::memory::{Kind, Statistics};
 
 /// Work of a render.
 #[derive(serde::Serialize, Clone)]
-pub(crate) struct WorkStatistics {
-    pub(crate) kernel_evaluations: u64,
+pub struct WorkStatistics {
+    /// Kernels evaluated: pairs of a point and a sample.
+    pub kernel_evaluations: u64,
     pairs_tested: u64,
     samples: u64,
-    pub(crate) nonzero_samples: u64,
+    /// Samples with an opacity above 0.
+    pub nonzero_samples: u64,
     packets: u64,
-    pub(crate) shadow_rays: u64,
-    pub(crate) bounced_rays: u64,
+    /// Rays to lights.
+    pub shadow_rays: u64,
+    /// Mirrored and bent rays.
+    pub bounced_rays: u64,
     /// Pairs of a ray and a point, by kind of ray: those that are tested but not added are wasted.
     primary_pairs: Pairs,
     shadow_pairs: Pairs,
@@ -63,13 +67,15 @@ impl From<RenderCounts> for WorkStatistics {
 
 /// Statistics of a working set.
 #[derive(serde::Serialize, Clone)]
-pub(crate) struct PageStatistics {
-    pub(crate) stall_seconds: f64,
+pub struct PageStatistics {
+    /// Time that threads have waited for pages, of all threads together.
+    pub stall_seconds: f64,
     /// Bytes read, divided by the bytes of the distinct pages read.
-    pub(crate) reads_per_page: f64,
-    pub(crate) working_set_peak_bytes: u64,
+    pub reads_per_page: f64,
+    /// Most bytes of pages in memory at a time.
+    pub working_set_peak_bytes: u64,
     /// Over all kinds of pages.
-    pub(crate) working_set: PageCounts,
+    pub working_set: PageCounts,
     working_set_by_kind: Vec<KindCounts>,
 }
 
@@ -82,19 +88,24 @@ struct KindCounts {
     counts: PageCounts,
 }
 
+/// What happened to pages.
 #[derive(serde::Serialize, Clone)]
-pub(crate) struct PageCounts {
-    pub(crate) hits: u64,
-    pub(crate) misses: u64,
+pub struct PageCounts {
+    /// Requests for a page in memory.
+    pub hits: u64,
+    /// Requests for a page that was absent.
+    pub misses: u64,
     late: u64,
     hinted: u64,
     hinted_in_time: u64,
     stalls: u64,
     stall_nanoseconds: u64,
-    pub(crate) reads: u64,
+    /// Pages read.
+    pub reads: u64,
     bytes_read: u64,
     bytes_unique: u64,
-    pub(crate) evictions: u64,
+    /// Pages evicted.
+    pub evictions: u64,
 }
 
 impl PageCounts {

@@ -6,16 +6,17 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::Args;
 use rayset::Session;
+use rayset::SimdLevel;
 use rayset::points::Workload;
-use rayset::{BARE_SAMPLES, SimdLevel, bare_loop};
 
-use crate::bench_cloud::{Case, Measured, Prepared};
-use crate::bench_features::{self, Cost};
-use crate::bench_scenes;
-use crate::interrupts::TemporaryFolder;
+use crate::bare::{BARE_SAMPLES, bare_loop};
+use crate::features::{self, Cost};
+use crate::scenes;
+use crate::workloads::{Case, Measured, Prepared};
 use rayset_inputs::values;
+use rayset_terminal::interrupts::TemporaryFolder;
 
-use crate::report;
+use rayset_terminal::report;
 
 /// Build and render the standard workloads, and say how long it took.
 ///
@@ -24,7 +25,7 @@ use crate::report;
 /// shading; opaque (extinction 2/r, rays end at 1 %) or translucent (0.02/r, every sample taken).
 /// Times are medians.
 #[derive(Args)]
-pub(crate) struct BenchArgs {
+pub struct BenchArgs {
     /// sphere-N or cube-N; the four standard ones by default. With --scenes, words that the names
     /// of scenes contain
     workloads: Vec<String>,
@@ -78,10 +79,14 @@ struct Report {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     features: Vec<Cost>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    scenes: Vec<bench_scenes::Measured>,
+    scenes: Vec<scenes::Measured>,
 }
 
-pub(crate) fn run(args: &BenchArgs) -> Result<()> {
+/// Measures, and reports.
+///
+/// # Errors
+/// Whatever ends a build or a render.
+pub fn run(args: &BenchArgs) -> Result<()> {
     let report = if let Some(folder) = &args.dir {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         measure(args, folder)?
@@ -105,7 +110,7 @@ fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
     let bare = bare_evaluations_per_second(args.simd);
     let (mut results, mut features, mut scenes) = (Vec::new(), Vec::new(), Vec::new());
     if args.scenes {
-        scenes = bench_scenes::measure(&bench_scenes::Options {
+        scenes = scenes::measure(&scenes::Options {
             folder,
             repeat: args.repeat,
             simd: args.simd,
@@ -117,12 +122,7 @@ fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
         let prepared = Prepared::new(workload, folder, args.threads)?;
         if args.features {
             let session = Session::builder().threads(args.threads).simd(args.simd);
-            features.extend(bench_features::measure(
-                &prepared.cloud,
-                &prepared.camera(),
-                &session,
-                args.repeat,
-            )?);
+            features.extend(features::measure(&prepared.cloud, &prepared.camera(), &session, args.repeat)?);
             continue;
         }
         let mut cases = vec![Case::in_core(args.memory)];
@@ -194,11 +194,11 @@ fn describe(report: &Report) -> Result<()> {
     ));
     report::say("");
     if !report.scenes.is_empty() {
-        bench_scenes::describe(&report.scenes);
+        scenes::describe(&report.scenes);
         return Ok(());
     }
     if !report.features.is_empty() {
-        bench_features::describe(&report.features);
+        features::describe(&report.features);
         return Ok(());
     }
     report::say(

@@ -1,10 +1,9 @@
 //! The inner loop in isolation: 64 samples against points in cache. It measures the peak throughput
 //! of a processor, for comparison with that of a render.
 
-use fearless_simd::f32x16;
 use fearless_simd::prelude::*;
-
-use super::{SimdLevel, dispatch};
+use fearless_simd::{dispatch, f32x16};
+use rayset::SimdLevel;
 
 /// Number of samples evaluated together.
 pub const BARE_SAMPLES: usize = 64;

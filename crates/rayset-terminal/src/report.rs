@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use rayset::storage::{redacted, shown};
-pub(crate) use rayset_inputs::text::{bytes, count};
+pub use rayset_inputs::text::{bytes, count};
 
 /// Why results could not be printed. A closed pipe is the reader's wish, not a failure.
 static LOST: Mutex<Option<io::Error>> = Mutex::new(None);
@@ -20,12 +20,12 @@ static LOST: Mutex<Option<io::Error>> = Mutex::new(None);
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line of results.
-pub(crate) fn say(line: impl std::fmt::Display) {
+pub fn say(line: impl std::fmt::Display) {
     result(&printable(&line.to_string(), |c| c.escape_unicode().to_string()));
 }
 
 /// A value as indented JSON.
-pub(crate) fn json(value: &impl serde::Serialize) -> anyhow::Result<()> {
+pub fn json(value: &impl serde::Serialize) -> anyhow::Result<()> {
     let text = json_text(value)?;
     let lines: Vec<String> =
         text.lines().map(|line| printable(line, |c| format!("\\u{:04x}", u32::from(c)))).collect();
@@ -34,7 +34,7 @@ pub(crate) fn json(value: &impl serde::Serialize) -> anyhow::Result<()> {
 }
 
 /// A value as indented JSON, as it may be printed or written to a file.
-pub(crate) fn json_text(value: &impl serde::Serialize) -> anyhow::Result<String> {
+pub fn json_text(value: &impl serde::Serialize) -> anyhow::Result<String> {
     let text = serde_json::to_string_pretty(value)?;
     if matches!(redacted(&text), std::borrow::Cow::Borrowed(_)) {
         return Ok(text);
@@ -58,7 +58,7 @@ pub(crate) fn json_text(value: &impl serde::Serialize) -> anyhow::Result<String>
 }
 
 /// Writes an address that lets in whoever has it, to the person who is to open it.
-pub(crate) fn say_invitation(address: &str) {
+pub fn say_invitation(address: &str) {
     result(address);
 }
 
@@ -75,12 +75,12 @@ fn result(text: &str) {
 
 /// Sends results to standard error from now on, because standard output is an output of the
 /// command.
-pub(crate) fn leave_standard_output() {
+pub fn leave_standard_output() {
     TAKEN.store(true, Ordering::Relaxed);
 }
 
 /// Checks that all results have been printed.
-pub(crate) fn check_results() -> anyhow::Result<()> {
+pub fn check_results() -> anyhow::Result<()> {
     match LOST.lock().unwrap_or_else(PoisonError::into_inner).take() {
         Some(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(lost(error)),
         _ => Ok(()),
@@ -88,7 +88,7 @@ pub(crate) fn check_results() -> anyhow::Result<()> {
 }
 
 /// Prints what the command line itself answers: help or the version.
-pub(crate) fn answer(answer: &clap::Error) -> anyhow::Result<()> {
+pub fn answer(answer: &clap::Error) -> anyhow::Result<()> {
     match answer.print().and_then(|()| io::stdout().flush()) {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(lost(error)),
         _ => Ok(()),
@@ -101,7 +101,7 @@ fn lost(error: io::Error) -> anyhow::Error {
 }
 
 /// Writes a remark that is not a result.
-pub(crate) fn remark(line: impl std::fmt::Display) {
+pub fn remark(line: impl std::fmt::Display) {
     write_remark(&printable(&line.to_string(), |c| c.escape_unicode().to_string()));
 }
 
@@ -110,13 +110,13 @@ fn write_remark(text: &str) {
 }
 
 /// Writes why the program failed, on one line.
-pub(crate) fn fail(error: &anyhow::Error) {
+pub fn fail(error: &anyhow::Error) {
     remark(format_args!("error: {error:#}"));
 }
 
 /// Writes what is wrong with the command line, in several lines. Options that help does not show
 /// are not suggested.
-pub(crate) fn misused(mut error: clap::Error, program: &clap::Command) {
+pub fn misused(mut error: clap::Error, program: &clap::Command) {
     use clap::error::{ContextKind, ContextValue};
     if let Some(ContextValue::String(option)) = error.get(ContextKind::SuggestedArg)
         && !is_shown(option.trim_start_matches('-'), program)
@@ -149,14 +149,14 @@ fn printable(text: &str, shown: impl Fn(char) -> String) -> String {
 }
 
 /// The name of a file or an object, without its folder.
-pub(crate) fn name_of(path: &Path) -> String {
+pub fn name_of(path: &Path) -> String {
     let shown = PathBuf::from(shown(path));
     shown.file_name().unwrap_or(shown.as_os_str()).to_string_lossy().into_owned()
 }
 
 /// A number in as few digits as represent it exactly, in scientific notation if it is very small or
 /// very large.
-pub(crate) fn number<T: Copy + Into<f64> + std::fmt::Display + std::fmt::LowerExp>(value: T) -> String {
+pub fn number<T: Copy + Into<f64> + std::fmt::Display + std::fmt::LowerExp>(value: T) -> String {
     let size = value.into().abs();
     if size == 0.0 || (1e-5..1e16).contains(&size) { value.to_string() } else { format!("{value:e}") }
 }

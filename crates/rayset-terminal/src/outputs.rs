@@ -12,19 +12,19 @@ use crate::{interrupts, report};
 /// The outputs of a command: none of them is one of its inputs or another output, and all are
 /// watched for signals.
 #[derive(Default)]
-pub(crate) struct Outputs {
+pub struct Outputs {
     inputs: Vec<PathBuf>,
     taken: HashSet<PathBuf>,
 }
 
 impl Outputs {
     /// For a command that reads `inputs`.
-    pub(crate) fn beside<P: Into<PathBuf>>(inputs: impl IntoIterator<Item = P>) -> Self {
+    pub fn beside<P: Into<PathBuf>>(inputs: impl IntoIterator<Item = P>) -> Self {
         Self { inputs: inputs.into_iter().map(Into::into).collect(), taken: HashSet::new() }
     }
 
     /// Adds an output, with the folder of its temporary files if it differs from its own.
-    pub(crate) fn add(&mut self, path: &Path, temp_dir: Option<&Path>) -> Result<Destination> {
+    pub fn add(&mut self, path: &Path, temp_dir: Option<&Path>) -> Result<Destination> {
         let destination = Destination::new(path)?;
         destination.refuse_inputs(&self.inputs)?;
         let place = destination.canonical().with_context(|| format!("cannot write {}", path.display()))?;
@@ -42,7 +42,7 @@ impl Outputs {
 }
 
 /// Writes a whole file.
-pub(crate) fn write(to: &Destination, bytes: &[u8]) -> Result<()> {
+pub fn write(to: &Destination, bytes: &[u8]) -> Result<()> {
     let file = OutputFile::create(to)?;
     file.writer().write_all(bytes).with_context(|| format!("cannot write {}", to.path().display()))?;
     Ok(file.publish()?)

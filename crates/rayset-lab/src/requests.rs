@@ -1,12 +1,12 @@
-//! A log of requests for pages, for this project's own measurements: reads of a render are compared
-//! with those of rules of eviction that know the future.
+//! A log of requests for pages: reads of a render are compared with those of rules of eviction that
+//! know the future.
 
 use std::collections::{BTreeSet, HashMap};
 use std::hash::Hash;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::object::Object;
+use rayset::working_set::WorkingSet;
 
 /// A request for a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -17,40 +17,54 @@ pub struct Requested {
     pub page: u32,
 }
 
-/// The requests of all clients in the order in which they were served, while they are recorded.
-#[derive(Default)]
-pub(super) struct RequestLog {
+/// The requests of all clients of a working set in the order in which they were made, while they
+/// are recorded.
+#[derive(Debug, Default)]
+pub struct RequestLog {
     is_recording: AtomicBool,
     requests: Mutex<Vec<Requested>>,
 }
 
 impl RequestLog {
+    /// The log of a working set, which has none yet.
+    pub fn of(pages: &WorkingSet) -> Arc<Self> {
+        let log = Arc::new(Self::default());
+        let noting = log.clone();
+        pages.observe_requests(move |object, page| {
+            if noting.is_recording.load(Ordering::Relaxed) {
+                noting.lock().push(Requested { object: Arc::as_ptr(object) as usize, page });
+            }
+        });
+        log
+    }
+
     fn lock(&self) -> MutexGuard<'_, Vec<Requested>> {
         self.requests.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Begins to record.
-    pub(super) fn begin(&self) {
+    pub fn begin(&self) {
         self.lock().clear();
         self.is_recording.store(true, Ordering::Relaxed);
     }
 
     /// Number of requests recorded so far.
-    pub(super) fn len(&self) -> usize {
+    #[must_use]
+    pub fn len(&self) -> usize {
         self.lock().len()
     }
 
-    /// Ends recording, and returns what was recorded.
-    pub(super) fn end(&self) -> Vec<Requested> {
-        self.is_recording.store(false, Ordering::Relaxed);
-        std::mem::take(&mut self.lock())
+    /// Whether none is recorded.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
     }
 
-    /// Records a request.
-    pub(super) fn note(&self, object: &Arc<Object>, page: u32) {
-        if self.is_recording.load(Ordering::Relaxed) {
-            self.lock().push(Requested { object: Arc::as_ptr(object) as usize, page });
-        }
+    /// Ends recording, and returns what was recorded.
+    #[must_use]
+    pub fn end(&self) -> Vec<Requested> {
+        self.is_recording.store(false, Ordering::Relaxed);
+        std::mem::take(&mut self.lock())
     }
 }
 

@@ -13,10 +13,10 @@ use crate::report;
 const QUIET: Duration = Duration::from_secs(10);
 
 /// Is told of progress besides: what is being done, how much of it is done, and how much there is.
-pub(crate) type ProgressCallback<'a> = Option<&'a (dyn Fn(&str, u64, u64) + Sync)>;
+pub type ProgressCallback<'a> = Option<&'a (dyn Fn(&str, u64, u64) + Sync)>;
 
 /// Shows the progress of a sequence of stages.
-pub(crate) struct Meter<'a> {
+pub struct Meter<'a> {
     state: Mutex<State>,
     unit: &'static str,
     terminal: bool,
@@ -32,7 +32,9 @@ struct State {
 }
 
 impl<'a> Meter<'a> {
-    pub(crate) fn new(unit: &'static str, hidden: bool) -> Self {
+    /// For work that is counted in a unit; `hidden` shows nothing.
+    #[must_use]
+    pub fn new(unit: &'static str, hidden: bool) -> Self {
         let state = State {
             title: "",
             bar: ProgressBar::hidden(),
@@ -43,16 +45,18 @@ impl<'a> Meter<'a> {
     }
 
     /// The same, with somebody else who is told.
-    pub(crate) fn telling(self, told: ProgressCallback<'a>) -> Self {
+    #[must_use]
+    pub fn telling(self, told: ProgressCallback<'a>) -> Self {
         Self { told, ..self }
     }
 
-    pub(crate) fn show(&self, title: &'static str, done: u64, total: u64) {
+    /// Shows how much of `total` is done of a stage.
+    pub fn show(&self, title: &'static str, done: u64, total: u64) {
         self.show_in(self.unit, title, done, total);
     }
 
     /// Shows progress that is counted in another unit.
-    pub(crate) fn show_in(&self, unit: &str, title: &'static str, done: u64, total: u64) {
+    pub fn show_in(&self, unit: &str, title: &'static str, done: u64, total: u64) {
         if let Some(told) = self.told {
             told(title, done, total);
         }
@@ -86,7 +90,8 @@ impl<'a> Meter<'a> {
         }
     }
 
-    pub(crate) fn finish(&self) {
+    /// Clears what is shown.
+    pub fn finish(&self) {
         let state = self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         state.bar.finish_and_clear();
     }

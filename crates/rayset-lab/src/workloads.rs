@@ -15,13 +15,12 @@ use rayset::scene::Kernel;
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, OpacityRule, RenderSettings, Scene, TransferFunction,
 };
-use rayset::{Picture, RenderCounts, Session};
+use rayset::{Picture, Prediction, RenderCounts, Session};
 
-use crate::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
-use crate::outputs::Outputs;
-use crate::render::PredictorArg;
-use crate::statistics::{PageStatistics, WorkStatistics};
-use crate::{generate, report};
+use rayset_terminal::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
+use rayset_terminal::outputs::Outputs;
+use rayset_terminal::statistics::{PageStatistics, WorkStatistics};
+use rayset_terminal::{ply, report};
 
 /// A condition to render under.
 pub(crate) struct Case {
@@ -29,7 +28,7 @@ pub(crate) struct Case {
     /// Budget for pages.
     pages: Pages,
     direct: bool,
-    predictor: PredictorArg,
+    predictor: Prediction,
     delay: Option<Duration>,
 }
 
@@ -44,7 +43,7 @@ impl Case {
     pub(crate) fn in_core(memory: Option<u64>) -> Self {
         let pages = memory.map_or(Pages::All, |m| Pages::Bytes(m.saturating_sub(PROCESS_BYTES)));
         let name = if memory.is_some() { "given memory" } else { "in core" };
-        Self { name, pages, direct: false, predictor: PredictorArg::Packet, delay: None }
+        Self { name, pages, direct: false, predictor: Prediction::Packet, delay: None }
     }
 
     pub(crate) fn out_of_core() -> [Self; 6] {
@@ -52,12 +51,12 @@ impl Case {
             |name, predictor, delay| Self { name, pages: Pages::Tenth, direct: true, predictor, delay };
         let slow = Some(Duration::from_millis(2));
         [
-            case("tenth, direct, packet", PredictorArg::Packet, None),
-            case("tenth, direct, line", PredictorArg::Line, None),
-            case("tenth, direct, none", PredictorArg::None, None),
-            case("tenth, +2 ms, packet", PredictorArg::Packet, slow),
-            case("tenth, +2 ms, line", PredictorArg::Line, slow),
-            case("tenth, +2 ms, none", PredictorArg::None, slow),
+            case("tenth, direct, packet", Prediction::Packet, None),
+            case("tenth, direct, line", Prediction::Line, None),
+            case("tenth, direct, none", Prediction::None, None),
+            case("tenth, +2 ms, packet", Prediction::Packet, slow),
+            case("tenth, +2 ms, line", Prediction::Line, slow),
+            case("tenth, +2 ms, none", Prediction::None, slow),
         ]
     }
 }
@@ -101,7 +100,7 @@ impl Prepared {
         let path = folder.join(format!("{workload}.rset"));
         let mut outputs = Outputs::default();
         if !ply.exists() {
-            generate::write_source(&mut *workload.source(), &outputs.add(&ply, None)?)?;
+            ply::write_source(&mut *workload.source(), &outputs.add(&ply, None)?)?;
         }
         outputs.add(&path, None)?;
         let options = BuildOptions::default()
@@ -168,7 +167,7 @@ impl Prepared {
             .page_limits(Limits::total(budget))
             .threads(threads)
             .simd(simd)
-            .prediction(case.predictor.prediction())
+            .prediction(case.predictor)
             .direct(case.direct)
             .read_delay(case.delay.unwrap_or_default())
             .build()?;
