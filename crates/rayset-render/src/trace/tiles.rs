@@ -216,7 +216,7 @@ mod tests {
             queue.deferred.push_back(Deferred { place: place(tile), attempts, lacking: None });
         }
         let mut fresh = Some(Deferred::fresh(place(9)));
-        let deferral = Deferral { most: 16, policy: policy::of_files(true), stuck };
+        let deferral = Deferral { most: 16, policy: &policy::Remote, stuck };
         std::iter::from_fn(|| queue.next(deferral, |_| fresh.take())).map(|next| next.place.tile).collect()
     }
 

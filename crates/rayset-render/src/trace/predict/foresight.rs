@@ -25,7 +25,7 @@ pub(in crate::trace) struct Foresight {
     files: Vec<Arc<Object>>,
     /// Every cloud with points.
     clouds: Vec<CloudAhead>,
-    /// Every grid that is remote.
+    /// Every grid whose pages are asked for together.
     grids: Vec<GridAhead>,
     /// How pages of these files are brought in.
     pub(in crate::trace) policy: &'static dyn Policy,
@@ -52,7 +52,7 @@ impl Foresight {
     /// That of a graph in which rays end at a transmittance.
     pub(in crate::trace) fn new(program: &Program, stop_transmittance: f64) -> Self {
         let stop = stop_transmittance as f32;
-        let policy = policy::of_files(program.files().any(|pages| pages.is_remote()));
+        let policy = policy::of_files(program.files());
         let expects = policy.expects();
         let mut files: Vec<Arc<Object>> = Vec::new();
         let mut number = |pages: &Arc<Object>| {
@@ -72,7 +72,7 @@ impl Foresight {
                     let expected = Expected::new(&volume.shading, stop, expects);
                     clouds.push(CloudAhead { at, file: number(&volume.placement.pages), expected });
                 }
-                Action::Grid(volume) if volume.pages().is_remote() => {
+                Action::Grid(volume) if policy.asks_together(volume.pages()) => {
                     let opaque = if ends[at] { -stop.ln() } else { f32::INFINITY };
                     grids.push(GridAhead { at, file: number(volume.pages()), opaque });
                 }
@@ -174,7 +174,9 @@ impl Foresight {
         mut want: impl FnMut(u32, u32),
     ) -> bool {
         let mut complete = true;
-        for (cloud, file, expected) in self.clouds(program).filter(|(cloud, ..)| cloud.pages.is_remote()) {
+        for (cloud, file, expected) in
+            self.clouds(program).filter(|(cloud, ..)| self.policy.asks_together(&cloud.pages))
+        {
             let mut want_node = |node: &Node| cloud.own_pages_at_most(node).for_each(|page| want(file, page));
             let mut nodes = NodesInMemory::new(pages, cloud);
             let local: Vec<Ray> = rays.iter().map(|ray| cloud.local_ray(ray)).collect();

@@ -1,18 +1,23 @@
 //! How pages are brought in before rays need them: of local files, where a page takes microseconds
 //! or a disk's few milliseconds, or of remote ones, where each read is a round trip. All that
-//! differs for a graph as a whole is here. Which files of a mixed graph are remote, the look-ahead
-//! asks of each. Neither policy changes a picture.
+//! differs is here. Neither policy changes a picture.
 
 use std::ops::Range;
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::trace::cloud::CloudPlacement;
 use rayset_files::octree::node::Node;
+use rayset_store::working_set::Object;
 
 /// What is done about pages that are not there yet.
 pub(in crate::trace) trait Policy: Send + Sync {
     /// How rays that are only probed are taken to end.
     fn expects(&self) -> Expects;
+
+    /// Whether pages of a file are asked for many at a time, all along the rays: for each by itself
+    /// would take a round trip.
+    fn asks_together(&self, file: &Object) -> bool;
 
     /// The pages of a node's own points that are asked for.
     fn own_pages(&self, cloud: &CloudPlacement, node: &Node) -> Range<u32>;
@@ -59,8 +64,10 @@ pub(in crate::trace) struct Expects {
 }
 
 /// That of a graph's files, of which some may be remote.
-pub(in crate::trace) fn of_files(any_is_remote: bool) -> &'static dyn Policy {
-    if any_is_remote { &Remote } else { &Local }
+pub(in crate::trace) fn of_files<'a>(
+    mut files: impl Iterator<Item = &'a Arc<Object>>,
+) -> &'static dyn Policy {
+    if files.any(|file| file.is_remote()) { &Remote } else { &Local }
 }
 
 /// Pages come soon: what a tile lacks is read while others are traced, and little is asked for
@@ -70,6 +77,10 @@ pub(in crate::trace) struct Local;
 impl Policy for Local {
     fn expects(&self) -> Expects {
         Expects { margin: 1.2, careful: false }
+    }
+
+    fn asks_together(&self, _: &Object) -> bool {
+        false
     }
 
     fn own_pages(&self, cloud: &CloudPlacement, node: &Node) -> Range<u32> {
@@ -122,6 +133,10 @@ pub(in crate::trace) struct Remote;
 impl Policy for Remote {
     fn expects(&self) -> Expects {
         Expects { margin: 1.5, careful: true }
+    }
+
+    fn asks_together(&self, file: &Object) -> bool {
+        file.is_remote()
     }
 
     fn own_pages(&self, cloud: &CloudPlacement, node: &Node) -> Range<u32> {

@@ -135,7 +135,10 @@ impl Lookahead<'_> {
         let clouds = foresight.clouds(program).map(|(cloud, file, _)| (file, cloud.first_node_page));
         let grids = foresight.grids(program).map(|(grid, file, _)| (file, grid.first_ranges_page()));
         for (file, first) in clouds.chain(grids) {
-            let Some(object) = self.object(file).filter(|object| object.is_remote()) else { continue };
+            let Some(object) = self.object(file).filter(|object| foresight.policy.asks_together(object))
+            else {
+                continue;
+            };
             let nodes: Vec<u32> = (first..object.pages()).rev().collect();
             let most = self.pages.share_bytes() / NODES;
             let is_known = found.nodes_to_let_go.iter().any(|page| page.file == file);
