@@ -141,7 +141,8 @@ impl Wanted {
         self.parsed_using(RemoteFiles::default())
     }
 
-    /// The same, with remote files that are open, as far as they are still what is at their addresses.
+    /// The same, with remote files that are open, as far as they are still what is at their
+    /// addresses.
     fn parsed_using(&self, remote: RemoteFiles) -> Result<SceneFile, Failure> {
         let path = self.folder.join("scene");
         let (mut clouds, mut grids) = remote.current();

@@ -5,8 +5,8 @@ use std::path::Path;
 use rayset::build::{self, GridBuildError};
 use rayset::storage::address_of;
 
-use crate::memory::PROCESS_BYTES;
-use crate::report;
+use rayset_terminal::memory::PROCESS_BYTES;
+use rayset_terminal::report;
 
 /// Memory for the whole process, and what the process takes of it besides the work.
 #[derive(Clone, Copy)]

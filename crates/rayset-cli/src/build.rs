@@ -13,14 +13,14 @@ use rayset::volumes;
 
 use crate::budget::{Budget, name_smallest_budget, name_smallest_grid_budget};
 use crate::build_parts::{self, PartArgs, PartOf, Work};
-use crate::memory::peak_rss;
 use crate::option_args::{ChoiceArgs, OfBuild};
-use crate::outputs::Outputs;
-use crate::progress::Meter;
 use rayset_inputs::{Files, Points, values};
+use rayset_terminal::memory::peak_rss;
+use rayset_terminal::outputs::Outputs;
+use rayset_terminal::progress::Meter;
 
 use crate::input::Program;
-use crate::report;
+use rayset_terminal::report;
 
 /// Build a cloud file from points, or a grid file from a volume.
 ///

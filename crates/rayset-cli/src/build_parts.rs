@@ -11,9 +11,9 @@ use rayset::storage::address_of;
 use rayset_inputs::Points;
 
 use crate::budget::{Budget, name_smallest_budget};
-use crate::memory::peak_rss;
-use crate::progress::Meter;
-use crate::{interrupts, report};
+use rayset_terminal::memory::peak_rss;
+use rayset_terminal::progress::Meter;
+use rayset_terminal::{interrupts, report};
 
 /// Which part of a build is to be done.
 #[derive(Args)]

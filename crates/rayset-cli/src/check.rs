@@ -8,8 +8,8 @@ use rayset::memory::SceneNeeds;
 use rayset::scene::{Lighting, Shape};
 use rayset::scene_file::SceneFile;
 
-use crate::memory::PROCESS_BYTES;
-use crate::report;
+use rayset_terminal::memory::PROCESS_BYTES;
+use rayset_terminal::report;
 
 /// Check a scene file: everything that can be wrong with it, before any rendering
 #[derive(Args)]

@@ -11,15 +11,15 @@ use rayset::output::Destination;
 use rayset::points::Workload;
 
 use crate::budget::Budget;
-use crate::interrupts::TemporaryFolder;
-use crate::progress::Meter;
 use crate::render;
 use rayset_inputs::style::Style;
 use rayset_inputs::values;
+use rayset_terminal::interrupts::TemporaryFolder;
+use rayset_terminal::progress::Meter;
 
 use rayset_terminal::ply;
 
-use crate::report;
+use rayset_terminal::report;
 
 /// Make a cloud larger than its memory budget, build it, render it, and say what the working set
 /// did.

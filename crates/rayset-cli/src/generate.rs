@@ -7,8 +7,8 @@ use clap::Args;
 use rayset::points::{MeshSource, Workload};
 use rayset_terminal::ply::write_source;
 
-use crate::outputs::Outputs;
-use crate::report;
+use rayset_terminal::outputs::Outputs;
+use rayset_terminal::report;
 
 /// Write a generated cloud as a binary PLY file.
 ///

@@ -17,10 +17,10 @@ use rayset_inputs::{Input, units};
 
 use crate::input::{self, Resources};
 use crate::input_args::InputArgs;
-use crate::memory::PROCESS_BYTES;
-use crate::report;
 use rayset_inputs::look::{self, Chosen};
 use rayset_inputs::style::Style;
+use rayset_terminal::memory::PROCESS_BYTES;
+use rayset_terminal::report;
 
 /// Memory of the whole process for building what has not been built.
 const BUILD_MEMORY: u64 = 256 << 20;
@@ -31,11 +31,11 @@ pub(crate) struct InfoArgs {
     /// Cloud or grid file, or files of points or voxels, which are built first, into the cache
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
-    #[command(flatten)]
-    input: InputArgs,
     /// Report as JSON
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    input: InputArgs,
 }
 
 #[derive(serde::Serialize)]

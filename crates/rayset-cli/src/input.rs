@@ -8,10 +8,10 @@ use rayset::build::{BuildError, GridBuildError};
 use rayset_inputs::{Cache, Host, Opened};
 
 use crate::budget::{self, Budget};
-use crate::interrupts::TemporaryFolder;
-use crate::outputs::Outputs;
-use crate::progress::{Meter, ProgressCallback};
-use crate::report;
+use rayset_terminal::interrupts::TemporaryFolder;
+use rayset_terminal::outputs::Outputs;
+use rayset_terminal::progress::{Meter, ProgressCallback};
+use rayset_terminal::report;
 
 /// The resources that building may use.
 #[derive(Clone, Copy)]

@@ -27,7 +27,7 @@ mod view;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use rayset_terminal::{interrupts, memory, outputs, progress, report, statistics};
+use rayset_terminal::{interrupts, memory, report};
 
 /// Ray-traces point clouds larger than memory, as volumes, inside a memory budget that holds.
 ///

@@ -8,8 +8,8 @@ use anyhow::{Context, Result};
 use clap::{Args, Command};
 use clap_complete::Shell;
 
-use crate::outputs::{self, Outputs};
-use crate::report;
+use rayset_terminal::outputs::{self, Outputs};
+use rayset_terminal::report;
 
 /// Write a completion script to standard output.
 ///

@@ -91,8 +91,9 @@ impl<T: Options, S: Selection> FromArgMatches for OptionArgs<T, S> {
                         option.parse("").map_err(|what| Error::raw(ErrorKind::InvalidValue, what))?;
                     change.make(&mut self.0);
                 }
-            } else if let Some(change) = matches.get_one::<Change<T>>(option.name) {
-                change.make(&mut self.0);
+            } else {
+                let changes = matches.get_many::<Change<T>>(option.name).into_iter().flatten();
+                changes.for_each(|change| change.make(&mut self.0));
             }
         }
         Ok(())
@@ -110,6 +111,7 @@ fn argument<T: Options>(option: &'static OptionOf<T>, heading: &'static str) -> 
     if option.is_flag() {
         return arg.action(ArgAction::SetTrue);
     }
+    let arg = if option.is_list() { arg.action(ArgAction::Append) } else { arg };
     let value_name = name.replace('-', "_").to_ascii_uppercase();
     arg.value_name(value_name).allow_hyphen_values(option.is_signed()).value_parser(ValueOf(option))
 }

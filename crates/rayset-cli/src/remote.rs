@@ -15,7 +15,8 @@ pub(crate) struct RemoteArgs {
     /// RAYSET_REMOTE_CACHE
     #[arg(long, global = true, value_name = "FOLDER", hide_short_help = true)]
     remote_cache: Option<PathBuf>,
-    /// Most bytes of that folder, which it never exceeds: 8GiB by default, or RAYSET_REMOTE_CACHE_SIZE
+    /// Most bytes of that folder, which it never exceeds: 8GiB by default, or
+    /// RAYSET_REMOTE_CACHE_SIZE
     #[arg(long, global = true, value_name = "SIZE", value_parser = values::size, hide_short_help = true)]
     remote_cache_size: Option<u64>,
 }

@@ -7,8 +7,8 @@ use clap::Args;
 use rayset::Grid;
 use rayset::file::Depth;
 
-use crate::report;
 use rayset_inputs::Built;
+use rayset_terminal::report;
 
 /// Check a cloud or grid file: by default every page's checksum and records
 #[derive(Args)]

@@ -18,17 +18,17 @@ options! {
     Build {
         /// Names of the columns of text files, arrays and snapshots in HDF5, as in
         /// x,y,z,-,intensity; - leaves one out
-        columns: Vec<String> = List;
+        columns: Vec<String> = List { dashes: true };
         /// Volume to read of a series of them, as arrays of four dimensions are; the first, 0, by
         /// default
         volume_index: u64 = Count;
         /// Types of particles to read of a snapshot, as in gas,stars: gas, dark, disk, bulge,
         /// stars, black-holes or PartType7. By default gas where there is any, else all
-        particles: Vec<String> = List;
+        particles: Vec<String> = List { dashes: false };
         /// Columns to keep besides positions, radii, weights and colours, as in
         /// intensity,classification or Velocities; `all`, or `none`. By default all that together
         /// take at most 16 bytes a point, vectors whole
-        attributes: Vec<String> = List;
+        attributes: Vec<String> = List { dashes: false };
         /// Points to sample on the faces of a mesh. By default ten a triangle, 1 to 20 million; of
         /// PLY with 20 000 vertices or more, or with measurements of each, the vertices are the
         /// points
@@ -39,7 +39,7 @@ options! {
         /// Weight: a number or a column. By default the column `weight` where there is one, else 1
         weight: String = Text;
         /// Factor on every coordinate, and on radii of a column: for data in units that make them
-        /// very large or small
+        /// very large or small; 1 by default
         length_scale: f64 = POSITIVE;
         /// Leave colours out
         no_color: Flag = Switch;

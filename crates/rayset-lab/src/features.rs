@@ -129,9 +129,8 @@ fn features(cloud: &Arc<Cloud>) -> Vec<Feature> {
     };
     let feature = |name, scene, settings| Feature { name, scene, settings };
     let lit = |lights| of(leaf.clone(), Some(lights));
-    let remote_box =
-        Node::new(Shape::Procedural(Arc::new(Solid::new(Form::Box { size: DVec3::splat(size) }))))
-            .moved(DAffine3::from_translation(bounds.center() + DVec3::new(0.0, 40.0 * size, 0.0)));
+    let far_box = Node::new(Shape::Procedural(Arc::new(Solid::new(Form::Box { size: DVec3::splat(size) }))))
+        .moved(DAffine3::from_translation(bounds.center() + DVec3::new(0.0, 40.0 * size, 0.0)));
     let hole = Form::Cylinder { radius: 0.15 * size, height: 4.0 * size };
     let hole = Node::new(Shape::Procedural(Arc::new(Solid::new(hole)))).moved(
         DAffine3::from_translation(bounds.center()) * DAffine3::from_rotation_x(std::f64::consts::FRAC_PI_2),
@@ -151,8 +150,8 @@ fn features(cloud: &Arc<Cloud>) -> Vec<Feature> {
         feature("one light, reflectance 0.3", of(leaf.clone().of(mirror), Some(suns(1, false))), plain),
         feature("one light, refractive index 1.3", of(leaf.clone().of(glass), Some(suns(1, false))), plain),
         feature("layers", of(leaf.clone(), None), plain.with_layers(true)),
-        feature("difference with a box out of sight", with(Operator::Difference, &remote_box), plain),
-        feature("union with a box out of sight", with(Operator::Union, &remote_box), plain),
+        feature("difference with a box out of sight", with(Operator::Difference, &far_box), plain),
+        feature("union with a box out of sight", with(Operator::Union, &far_box), plain),
         feature("difference with a cylinder", with(Operator::Difference, &hole), plain),
         feature("intersection with a cylinder", with(Operator::Intersection, &hole), plain),
     ]

@@ -1,5 +1,6 @@
-//! What exists for measurements alone: the commands `bench` and `figure`, the inner loop by itself, remote
-//! objects that are only simulated, and logs of requests for pages. No picture needs any of it.
+//! What exists for measurements alone: the commands `bench` and `figure`, the inner loop by itself,
+//! remote objects that are only simulated, and logs of requests for pages. No picture needs any of
+//! it.
 #![forbid(unsafe_code)]
 
 pub mod bare;

@@ -34,8 +34,8 @@ impl Settings {
     /// The cache's size if none is said.
     pub const USUAL_BYTES: u64 = 8 << 30;
 
-    /// What the environment says: `RAYSET_REMOTE_CACHE`, a folder, and `RAYSET_REMOTE_CACHE_SIZE`, which
-    /// `size` reads.
+    /// What the environment says: `RAYSET_REMOTE_CACHE`, a folder, and `RAYSET_REMOTE_CACHE_SIZE`,
+    /// which `size` reads.
     ///
     /// # Errors
     /// What `size` says of a text that is no size.

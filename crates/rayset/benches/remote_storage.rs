@@ -1,4 +1,5 @@
-//! Pictures of clouds that are 50 ms away: `cargo bench -p rayset --bench remote_storage [-- WORD…]`.
+//! Pictures of clouds that are 50 ms away: `cargo bench -p rayset --bench remote_storage [--
+//! WORD…]`.
 //!
 //! The storage is simulated: each request is answered after 50 ms, 20 % more or less, and at most
 //! 64 are in flight. Of each case the time is compared with 1.3 times the larger of the time with

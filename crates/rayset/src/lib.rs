@@ -40,7 +40,7 @@
 //! | describe a scene | [`scene`], [`scene_file`] |
 //! | render it: whole, in tiles, in passes; cancel it | [`Session`], [`View`], [`CancelToken`] |
 //! | write the picture | [`image`], [`output`] |
-//! | render it in parts, by many processes | [`parts`] |
+//! | render it in parts, by many processes | `parts`, with the feature of that name |
 //! | set a memory budget, and see how it was used | [`memory`] |
 //! | read from somewhere else | [`storage`] |
 #![forbid(unsafe_code)]

@@ -1,8 +1,8 @@
 //! Sources of the bytes of cloud and grid files, and how they are read: a file on disk, bytes in
 //! memory, a remote object, or a user's implementation.
 //!
-//! Local files share one way of reading ([`BackendKind`]), whatever their number. An object that is
-//! far away brings its own ([`RemoteStorage`]). None of this can change a picture.
+//! Local files share one way of reading ([`BackendKind`]), whatever their number. A remote
+//! object brings its own ([`RemoteStorage`]). None of this can change a picture.
 
 #[cfg(feature = "internals")]
 #[doc(hidden)]

@@ -30,7 +30,7 @@ use self::scale_bar::Scale;
 pub(crate) use self::sheet::{Mount, Sheet};
 pub(crate) use self::space::{Space, of_header, of_reference_system};
 use self::text::Font;
-use crate::report;
+use rayset_terminal::report;
 
 #[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Annotations (of PNG)")]

@@ -8,8 +8,8 @@ use rayset::output::Destination;
 
 use crate::budget::{Budget, name_smallest_budget};
 use crate::build;
-use crate::outputs::Outputs;
-use crate::progress::Meter;
+use rayset_terminal::outputs::Outputs;
+use rayset_terminal::progress::Meter;
 
 /// What is asked for.
 pub(super) struct Merge<'a> {

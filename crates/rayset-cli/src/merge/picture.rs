@@ -8,11 +8,11 @@ use rayset::parts::{Joined, Part, PartError};
 
 use super::args::MergeArgs;
 use crate::budget::Budget;
-use crate::memory::peak_rss;
-use crate::outputs::Outputs;
 use crate::part_note::Note;
 use crate::render::{Format, PictureSink};
-use crate::report::{bytes, say};
+use rayset_terminal::memory::peak_rss;
+use rayset_terminal::outputs::Outputs;
+use rayset_terminal::report::{bytes, say};
 
 pub(super) fn run(args: &MergeArgs) -> Result<()> {
     let started = Instant::now();

@@ -27,9 +27,9 @@ use self::shot::Shot;
 pub(crate) use self::sink::{Format, PictureSink};
 use self::work::Work;
 use crate::annotate::{Mount, Overlay};
-use crate::outputs::{self, Outputs};
-use crate::report::{bytes, json_text, remark};
 use rayset_inputs::values::Frames;
+use rayset_terminal::outputs::{self, Outputs};
+use rayset_terminal::report::{bytes, json_text, remark};
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     // Reading the scene may take long: what can be refused before that is refused first.

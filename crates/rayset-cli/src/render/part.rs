@@ -11,7 +11,7 @@ use rayset::{CancelToken, Region, RenderCounts, View};
 use super::shot::Shot;
 use crate::annotate::{Mount, Overlay};
 use crate::part_note::Note;
-use crate::progress::Meter;
+use rayset_terminal::progress::Meter;
 
 /// Refuses names of pictures.
 pub(super) fn check_name(to: &Destination) -> Result<()> {

@@ -7,9 +7,9 @@ use rayset::RenderCounts;
 use rayset::memory::MemoryPlan;
 
 use super::work::Work;
-use crate::memory::peak_rss;
-use crate::report;
-use crate::statistics::{PageStatistics, WorkStatistics};
+use rayset_terminal::memory::peak_rss;
+use rayset_terminal::report;
+use rayset_terminal::statistics::{PageStatistics, WorkStatistics};
 
 /// The report that `--stats` writes.
 #[derive(serde::Serialize)]

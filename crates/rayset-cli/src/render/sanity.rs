@@ -4,7 +4,7 @@
 use rayset::RenderCounts;
 use rayset::image::{Band, DisplayTransform};
 
-use crate::report::remark;
+use rayset_terminal::report::remark;
 
 /// Channels that differ by less than this from the background's are the background.
 const SEEN: f32 = 1.0 / 512.0;

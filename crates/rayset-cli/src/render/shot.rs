@@ -17,9 +17,9 @@ use crate::annotate::{Annotations, Mount, Sheet};
 use rayset_inputs::{Input, Opened};
 
 use crate::input::{self, Resources};
-use crate::{outputs, report};
 use rayset_inputs::look::{self, Chosen, Picture, Turntable};
 use rayset_inputs::style::Group;
+use rayset_terminal::{outputs, report};
 
 /// A scene with its camera and settings.
 pub(super) struct Shot {

@@ -9,7 +9,7 @@ use rayset::{BandSink, Region, SinkError};
 
 use super::sanity::Census;
 use crate::annotate::{Mount, Overlay};
-use crate::progress::Meter;
+use rayset_terminal::progress::Meter;
 
 /// Picture formats, by file extension.
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use rayset::file::Header;
 use rayset::geometry::DVec3;
 use rayset::scene::{Camera, Projection, RenderSettings};
 
-use crate::report;
+use rayset_terminal::report;
 
 /// Points smaller than a pixel are missed by most rays. `framed` is about the middle of those in
 /// the picture: the middle of the bounds may be far away.

@@ -10,10 +10,10 @@ use rayset::memory::{MemoryPlan, SceneNeeds};
 use rayset::storage::BackendKind;
 use rayset::{Prediction, RenderError, Session};
 
-use crate::memory::PROCESS_BYTES;
 use rayset_inputs::values;
+use rayset_terminal::memory::PROCESS_BYTES;
 
-use crate::report;
+use rayset_terminal::report;
 
 /// Memory if neither the command line nor the file specifies any.
 pub(super) const DEFAULT_MEMORY: u64 = 256 << 20;

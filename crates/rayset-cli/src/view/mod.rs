@@ -26,13 +26,13 @@ use crate::annotate::Space;
 use crate::demo;
 use crate::input::{self, Resources};
 use crate::input_args::InputArgs;
-use crate::interrupts::TemporaryFolder;
-use crate::memory::PROCESS_BYTES;
 use crate::option_args::{StyleArgs, WithoutPicture};
-use crate::report::{bytes, name_of, remark, say_invitation};
 use rayset_inputs::look::{Chosen, Looks};
 use rayset_inputs::style::Group;
 use rayset_inputs::values;
+use rayset_terminal::interrupts::TemporaryFolder;
+use rayset_terminal::memory::PROCESS_BYTES;
+use rayset_terminal::report::{bytes, name_of, remark, say_invitation};
 
 /// Memory for the whole process if nothing else is said.
 const DEFAULT_MEMORY: u64 = 256 << 20;

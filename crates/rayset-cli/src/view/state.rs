@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use rayset_view::{SECRET_BYTES, secret};
 
-use crate::report::remark;
+use rayset_terminal::report::remark;
 
 /// The key that cookies are signed with, kept in the user's state folder so that pages connect
 /// again after a restart; one for this run alone if there is no such folder.

@@ -109,6 +109,29 @@ fn numbers_too_large_to_be_stored_stop_a_build_with_the_factor_to_use() {
 }
 
 #[test]
+fn lists_go_on_where_they_are_given_again_and_take_no_option_for_a_name() {
+    let folder = folder();
+    std::fs::write(folder.path().join("p.csv"), "x,y,z,a,b,c\n0,0,0,1,2,3\n1,0,0,4,5,6\n").expect("a write");
+    let run = |more: &[&str]| {
+        let done = program().current_dir(folder.path()).args(["build", "p.csv"]).args(more).output();
+        let done = done.expect("it runs");
+        (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
+    };
+    assert_eq!(run(&["-o", "c.rset", "--attributes", "a", "--attributes", "c"]).0, Some(0));
+    let cloud = Cloud::open(folder.path().join("c.rset")).expect("it opens");
+    let names: Vec<&str> = cloud.header().attributes.iter().map(|column| column.name.as_str()).collect();
+    assert_eq!(names, ["a", "c"]);
+    for list in ["--attributes", "--particles"] {
+        let (code, said) = run(&[list, "-o", "d.rset"]);
+        assert!(code == Some(2) && said.contains("a value is required") && said.contains(list), "{said}");
+    }
+    // `-` leaves a column out.
+    assert_eq!(run(&["-o", "d.rset", "--columns", "-,x,y,z,b,c"]).0, Some(0));
+    let (code, said) = run(&["-o", "d.rset", "--length-scale", "0"]);
+    assert!(code == Some(2) && said.contains("--length-scale"), "{said}");
+}
+
+#[test]
 fn the_program_names_the_option_that_helps() {
     let folder = folder();
     std::fs::write(folder.path().join("p.xyz"), "3.1e24 0 0\n0 0 0\n").expect("a write");

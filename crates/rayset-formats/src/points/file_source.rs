@@ -160,8 +160,8 @@ impl<R: RecordReader> PointSource for FileSource<R> {
             self.next += read as u64;
         }
         if self.count == Some(self.next) && !self.is_finished {
-            self.reader.finish()?;
             self.is_finished = true;
+            self.reader.finish()?;
         }
         Ok(())
     }

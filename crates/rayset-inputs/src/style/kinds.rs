@@ -45,6 +45,19 @@ pub(crate) trait Kind<T> {
     fn is_flag(&self) -> bool {
         false
     }
+
+    /// Whether the option may be given more than once.
+    fn is_list(&self) -> bool {
+        false
+    }
+
+    /// The value of an option that is given again.
+    fn joined(&self, _before: Option<&T>, value: &T) -> T
+    where
+        T: Clone,
+    {
+        value.clone()
+    }
 }
 
 /// One of a few words.
@@ -225,8 +238,11 @@ impl Kind<u64> for Count {
     }
 }
 
-/// Names, separated by commas; or a list of them in JSON.
-pub(crate) struct List;
+/// Names, separated by commas; or a list of them in JSON. Given more than once, a list goes on.
+pub(crate) struct List {
+    /// Whether `-` stands for a name.
+    pub(crate) dashes: bool,
+}
 
 impl Kind<Vec<String>> for List {
     fn parse(&self, text: &str) -> Result<Vec<String>, String> {
@@ -251,7 +267,14 @@ impl Kind<Vec<String>> for List {
     }
 
     fn is_signed(&self) -> bool {
-        // `-` leaves a column out.
+        self.dashes
+    }
+
+    fn joined(&self, before: Option<&Vec<String>>, value: &Vec<String>) -> Vec<String> {
+        before.into_iter().flatten().chain(value).cloned().collect()
+    }
+
+    fn is_list(&self) -> bool {
         true
     }
 }

@@ -54,6 +54,7 @@ pub struct OptionOf<T: 'static> {
     pub(crate) choices: fn() -> Vec<Choice>,
     pub(crate) is_signed: fn() -> bool,
     pub(crate) is_flag: fn() -> bool,
+    pub(crate) is_list: fn() -> bool,
 }
 
 impl<T> std::fmt::Debug for OptionOf<T> {
@@ -124,6 +125,12 @@ impl<T: Options> OptionOf<T> {
     #[must_use]
     pub fn is_flag(&self) -> bool {
         (self.is_flag)()
+    }
+
+    /// Whether it may be given more than once.
+    #[must_use]
+    pub fn is_list(&self) -> bool {
+        (self.is_list)()
     }
 }
 
@@ -212,7 +219,9 @@ macro_rules! options {
                     needs: $crate::style::option::options!(@list $($needs)?),
                     parse: |text| {
                         let value: $value = $kind.parse(text)?;
-                        Ok($crate::style::option::Change::new(move |of: &mut Self| of.$name = Some(value.clone())))
+                        Ok($crate::style::option::Change::new(move |of: &mut Self| {
+                            of.$name = Some($kind.joined(of.$name.as_ref(), &value));
+                        }))
                     },
                     read: |json| {
                         let value: $value = $kind.read(json)?;
@@ -224,6 +233,7 @@ macro_rules! options {
                     choices: || $crate::style::kinds::Kind::<$value>::choices(&$kind),
                     is_signed: || $crate::style::kinds::Kind::<$value>::is_signed(&$kind),
                     is_flag: || $crate::style::kinds::Kind::<$value>::is_flag(&$kind),
+                    is_list: || $crate::style::kinds::Kind::<$value>::is_list(&$kind),
                 },
             )+)+];
         }

@@ -115,8 +115,8 @@ impl ExrBands {
     /// Appends a band.
     ///
     /// # Errors
-    /// [`ImageError`] if the file cannot be written, or if the band has no layers or is not the next
-    /// from the top.
+    /// [`ImageError`] if the file cannot be written, or if the band has no layers or is not the
+    /// next from the top.
     pub fn write(&mut self, band: &Band) -> Result<(), ImageError> {
         let is_next = band.first_row as usize == self.top + self.first_row + self.rows;
         if band.width as usize != self.width || band.layers.len() != band.pixels.len() || !is_next {

@@ -69,7 +69,8 @@ impl<'a> TileQueue<'a> {
 
     /// A tile whose page has become resident, otherwise what `take` returns when told whether any
     /// tile is deferred, otherwise the tile deferred first, which then waits for its pages, or, of
-    /// remote ones, for the one that it lacked. A tile from `take` also waits if none may be deferred.
+    /// remote ones, for the one that it lacked. A tile from `take` also waits if none may be
+    /// deferred.
     pub(super) fn next(
         &mut self,
         deferral: Deferral,

@@ -84,7 +84,7 @@ pub struct OpenFile {
     path: PathBuf,
     /// Of a remote file, one that reads ahead.
     storage: Arc<dyn Storage>,
-    /// `None` if the file is not far away.
+    /// `None` if the file is local.
     remote: Option<(Arc<dyn Storage>, Arc<dyn Transport>)>,
     header: FileHeader,
 }

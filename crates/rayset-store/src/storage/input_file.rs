@@ -1,9 +1,9 @@
 //! Inputs that are read from start to end, or here and there: a file on disk, a pipe, or an object
 //! that is remote.
 //!
-//! Remote objects are read ahead: the longer a reader goes on without a jump, the more is asked for at
-//! a time, in many requests at once, so that what it reads costs the rate of the connection and not
-//! a round trip for every buffer.
+//! Remote objects are read ahead: the longer a reader goes on without a jump, the more is asked for
+//! at a time, in many requests at once, so that what it reads costs the rate of the connection and
+//! not a round trip for every buffer.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -101,7 +101,8 @@ impl InputFile {
         }
     }
 
-    /// Whether it is a regular file or a remote object, which have a length and can be read anywhere.
+    /// Whether it is a regular file or a remote object, which have a length and can be read
+    /// anywhere.
     #[must_use]
     pub fn is_file(&self) -> bool {
         match &self.0 {

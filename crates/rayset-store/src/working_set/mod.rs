@@ -148,11 +148,12 @@ impl WorkingSet {
         self.shared.lock_waits.load(Ordering::Relaxed)
     }
 
-    /// Calls a function with each request for a page from now on, by whichever thread makes it. The
-    /// first such function stays.
+    /// Calls a function with each request for a page from now on, by whichever thread makes it, and
+    /// no longer the one before.
     #[cfg(feature = "internals")]
     pub fn observe_requests(&self, observer: impl Fn(&Arc<Object>, u32) + Send + Sync + 'static) {
-        let _ = self.shared.observer.set(Box::new(observer));
+        let mut place = self.shared.observer.write().unwrap_or_else(std::sync::PoisonError::into_inner);
+        *place = Some(Box::new(observer));
     }
 
     /// Evicts everything that is not retained.

@@ -49,9 +49,7 @@ impl PageClient {
             return found.map(PageGuard::from);
         }
         #[cfg(feature = "internals")]
-        if let Some(observer) = self.shared.observer.get() {
-            observer(object, page);
-        }
+        self.shared.observe(object, page);
         let counters = self.shared.counters_of(object, page);
         let mut slot = object.slot(page);
         match &*slot {

@@ -27,7 +27,7 @@ pub(super) struct Shared {
     /// How often a thread had to wait for the lock of the pool or of a slot.
     pub(super) lock_waits: Arc<AtomicU64>,
     #[cfg(feature = "internals")]
-    pub(super) observer: std::sync::OnceLock<Observer>,
+    pub(super) observer: std::sync::RwLock<Option<Observer>>,
 }
 
 /// Is told of each request for a page.
@@ -47,6 +47,15 @@ impl Shared {
             lock_waits,
             #[cfg(feature = "internals")]
             observer: Default::default(),
+        }
+    }
+
+    /// Tells the observer of a request.
+    #[cfg(feature = "internals")]
+    pub(super) fn observe(&self, object: &Arc<Object>, page: u32) {
+        let observer = self.observer.read().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if let Some(observer) = &*observer {
+            observer(object, page);
         }
     }
 

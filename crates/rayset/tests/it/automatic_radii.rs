@@ -112,9 +112,9 @@ fn clusters_a_thousand_million_times_as_far_apart_as_they_are_wide_have_one_radi
     };
     let (near, far) = (cluster(random, 0.0, 1e-3), cluster(random, 1e6, 2e-3));
     let built = measured(&[near, far].concat());
-    for (side, is_remote) in [(1e-3, false), (2e-3, true)] {
+    for (side, is_far) in [(1e-3, false), (2e-3, true)] {
         let expected = 0.75 * side / (COUNT as f64).sqrt();
-        let of_cluster = built.iter().filter(|(p, _)| (p[0] > 5e5) == is_remote);
+        let of_cluster = built.iter().filter(|(p, _)| (p[0] > 5e5) == is_far);
         assert!(of_cluster.clone().count() == COUNT);
         assert!(of_cluster.clone().all(|&(_, radius)| (radius / expected - 1.0).abs() < 0.01));
     }

@@ -184,7 +184,8 @@ proptest! {
     }
 }
 
-/// Hands out a remote object's bytes late, and counts what is in flight together with other readers.
+/// Hands out a remote object's bytes late, and counts what is in flight together with other
+/// readers.
 struct Counting {
     content: Vec<u8>,
     flying: Arc<Mutex<(usize, u64)>>,
@@ -350,7 +351,7 @@ fn a_picture_of_a_remote_cloud_is_the_same_for_every_budget_predictor_thread_cou
 }
 
 #[test]
-fn with_room_for_all_pages_far_ones_are_joined_to_few_requests() {
+fn with_room_for_all_pages_remote_ones_are_joined_to_few_requests() {
     let (file, _) = cloud();
     let behaviour = Behaviour { latency: Duration::from_millis(5), ..Behaviour::default() };
     let (object, storage) = remote(&file, behaviour, quick());

@@ -161,10 +161,10 @@ impl Foresight {
         }
     }
 
-    /// Calls `want` with the pages of remote files that some rays, at most 64, are expected to need,
-    /// and the indices of the files; `reach` is a factor on the optical depth with which they are
-    /// expected to have ended. Returns whether that is all: not if pages are absent that say what
-    /// lies behind them.
+    /// Calls `want` with the pages of remote files that some rays, at most 64, are expected to
+    /// need, and the indices of the files; `reach` is a factor on the optical depth with which they
+    /// are expected to have ended. Returns whether that is all: not if pages are absent that say
+    /// what lies behind them.
     pub(super) fn each_page(
         &self,
         program: &Program,

@@ -118,8 +118,8 @@ impl LookaheadState {
 
 impl<'a> Lookahead<'a> {
     /// Looks ahead of a tile that is about to be traced: at the look-ahead tiles beyond its own, up
-    /// to `tiles_ahead` of them, or, of remote files, at as many as there is room for. Hints at their
-    /// pages.
+    /// to `tiles_ahead` of them, or, of remote files, at as many as there is room for. Hints at
+    /// their pages.
     pub(super) fn scout(&self, tile: usize, tiles_ahead: u32) {
         let state = self.state;
         if self.world.foresight.is_empty() {

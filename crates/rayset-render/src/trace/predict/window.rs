@@ -127,9 +127,9 @@ impl Lookahead<'_> {
         self.object(file).is_some_and(|object| self.pages.let_go(object, page))
     }
 
-    /// Asks for all node pages of remote clouds, if they are few, and for all ranges of bricks of remote
-    /// grids likewise, and keeps them as long as the picture is made: walking down the octree page
-    /// by page would take a round trip for each level.
+    /// Asks for all node pages of remote clouds, if they are few, and for all ranges of bricks of
+    /// remote grids likewise, and keeps them as long as the picture is made: walking down the
+    /// octree page by page would take a round trip for each level.
     fn bring_nodes(&self, found: &mut Found) {
         let (foresight, program) = (&self.world.foresight, &self.world.program);
         let clouds = foresight.clouds(program).map(|(cloud, file, _)| (file, cloud.first_node_page));

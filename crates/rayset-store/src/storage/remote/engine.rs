@@ -1,5 +1,5 @@
-//! Requests to a remote object: started as long as few enough are in flight, tried again after a pause
-//! if they fail or are refused, given up in bounded time.
+//! Requests to a remote object: started as long as few enough are in flight, tried again after a
+//! pause if they fail or are refused, given up in bounded time.
 
 use std::collections::HashMap;
 use std::io;

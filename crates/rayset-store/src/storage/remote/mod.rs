@@ -30,8 +30,8 @@ pub use self::unread::{copy_of_reading, is_of_reading};
 use super::buffer::PageBuffer;
 use super::transport::{Read, Storage, Transport, ends_early};
 
-/// A remote object as a storage. It has one connection's worth of everything: its own queue, its own
-/// requests in flight.
+/// A remote object as a storage. It has one connection's worth of everything: its own queue, its
+/// own requests in flight.
 pub struct RemoteStorage {
     transport: Arc<RemoteTransport>,
     length: u64,

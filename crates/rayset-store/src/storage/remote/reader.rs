@@ -1,4 +1,5 @@
-//! What is known of a remote object: how to start reading one of its ranges, and where the bytes go.
+//! What is known of a remote object: how to start reading one of its ranges, and where the bytes
+//! go.
 
 use std::io;
 use std::ops::Range;
@@ -48,8 +49,8 @@ impl RangeError {
 
     /// The server would answer, if it were not asked for so much at a time (429 and 503 in HTTP).
     /// It is asked for less then, and as long as
-    /// [`give_up_after`](super::RemoteOptions::give_up_after) says: this does not count as one of the
-    /// attempts.
+    /// [`give_up_after`](super::RemoteOptions::give_up_after) says: this does not count as one of
+    /// the attempts.
     #[must_use]
     pub fn refused(source: io::Error) -> Self {
         Self { source, outlook: Outlook::Refused }
