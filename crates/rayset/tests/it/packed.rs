@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use rayset::points::{self, MeshSource, PointSource, ReadOptions};
+use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 
 use crate::common::folder;
 use crate::fixtures::{are_same, bytes, flips, outcome, outcome_of, path, truncations};
@@ -165,4 +165,23 @@ fn formats_that_are_read_in_many_places_are_refused_within_gzip() {
     let path = folder.path().join("p.xyz.gz");
     std::fs::write(&path, gzipped(b"1 2 3\n4 five 6\n")).expect("a write");
     assert!(outcome(&path).expect_err("refused").ends_with("line 2: `five` is not a number"));
+}
+
+#[test]
+fn a_file_that_is_damaged_behind_its_last_point_is_an_error_once() {
+    let folder = folder();
+    let head =
+        "ply\nformat ascii 1.0\nelement vertex 2000\nproperty float x\nproperty float y\nproperty float z\n";
+    let mut bytes = gzipped((head.to_owned() + "end_header\n" + &"0.5 0.25 0.125\n".repeat(2000)).as_bytes());
+    // Of the checksum that gzip ends with.
+    let last = bytes.len() - 6;
+    bytes[last] ^= 1;
+    let path = folder.path().join("points.ply.gz");
+    std::fs::write(&path, bytes).expect("a write");
+    let mut source = points::open(&path, &ReadOptions::default()).expect("its header is right");
+    let mut batch = PointBatch::default();
+    let said = source.fill(&mut batch, usize::MAX).expect_err("the checksum is another").to_string();
+    assert!(said.contains("gzip"), "{said}");
+    source.fill(&mut batch, usize::MAX).expect("it was said");
+    assert!(batch.is_empty());
 }

@@ -229,19 +229,6 @@ fn damaged_splat_files_never_panic_and_checksums_are_checked() {
 }
 
 #[test]
-fn a_file_that_is_cut_behind_its_last_point_is_an_error_once() {
-    let folder = folder();
-    let whole = bytes_of("v3.spz");
-    let path = write(folder.path(), "cut.spz", &whole[..whole.len() - 4]);
-    let mut source = points::open(&path, &ReadOptions::default()).expect("its header is whole");
-    let mut batch = PointBatch::default();
-    let outcome = source.fill(&mut batch, usize::MAX);
-    assert!(outcome.is_err(), "the checksum is not there");
-    source.fill(&mut batch, usize::MAX).expect("it was said");
-    assert!(batch.is_empty());
-}
-
-#[test]
 fn spz_headers_that_cannot_be_are_refused_with_their_reason() {
     let gunzipped = |name: &str| {
         let mut bytes = Vec::new();
