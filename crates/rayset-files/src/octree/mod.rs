@@ -12,6 +12,7 @@ pub mod layout;
 mod near;
 pub mod node;
 pub mod page;
+pub mod run_encoder;
 mod sample;
 pub mod verify;
 pub mod walk;

@@ -422,47 +422,17 @@ impl Values {
     }
 }
 
-impl From<Vec<f32>> for Values {
-    fn from(values: Vec<f32>) -> Self {
-        Self::F32(values)
-    }
+macro_rules! from_vectors {
+    ($($variant:ident: $number:ty),+) => {$(
+        impl From<Vec<$number>> for Values {
+            fn from(values: Vec<$number>) -> Self {
+                Self::$variant(values)
+            }
+        }
+    )+};
 }
 
-impl From<Vec<f64>> for Values {
-    fn from(values: Vec<f64>) -> Self {
-        Self::F64(values)
-    }
-}
-
-impl From<Vec<u8>> for Values {
-    fn from(values: Vec<u8>) -> Self {
-        Self::U8(values)
-    }
-}
-
-impl From<Vec<u16>> for Values {
-    fn from(values: Vec<u16>) -> Self {
-        Self::U16(values)
-    }
-}
-
-impl From<Vec<i32>> for Values {
-    fn from(values: Vec<i32>) -> Self {
-        Self::I32(values)
-    }
-}
-
-impl From<Vec<u64>> for Values {
-    fn from(values: Vec<u64>) -> Self {
-        Self::U64(values)
-    }
-}
-
-impl From<Vec<i64>> for Values {
-    fn from(values: Vec<i64>) -> Self {
-        Self::I64(values)
-    }
-}
+from_vectors!(F32: f32, F64: f64, U8: u8, U16: u16, I32: i32, U64: u64, I64: i64);
 
 #[cfg(test)]
 mod tests {

@@ -8,6 +8,7 @@ mod apply;
 mod choose;
 mod classes;
 mod cloud;
+mod evidence;
 mod framing;
 mod grid;
 mod labels;

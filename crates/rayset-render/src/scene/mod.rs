@@ -15,6 +15,7 @@ mod path;
 mod procedural;
 mod solid;
 mod transfer;
+mod transform;
 
 use std::sync::Arc;
 
@@ -26,8 +27,6 @@ pub use camera::{Camera, CameraError, Projection};
 pub(crate) use camera::{Footprint, RayMaker};
 pub use colormap::NamedPalette;
 pub use error::{MOST_ATTRIBUTES, SceneError};
-pub(crate) use graph::check_transform;
-pub use graph::largest_stretch;
 pub use graph::{
     Channel, CloudObject, GRID_ATTRIBUTE, GridObject, MOST_PLACES, Node, Operator, Shape, Transfer,
 };
@@ -41,6 +40,8 @@ pub use transfer::{
     ColorMap, ColorRule, MAX_OPACITY, MapInput, OpacityRule, Palette, TransferError, TransferFunction,
 };
 pub use transfer::{curve_at, max_extinction};
+pub(crate) use transform::check_transform;
+pub use transform::largest_stretch;
 
 /// Largest absolute value of coordinates and lengths.
 pub const FARTHEST: f64 = 1e18;

@@ -1,6 +1,7 @@
 //! Tests of the guarantees of an encoded run.
 
 use super::*;
+use crate::octree::run_encoder::{RunColumns, encode_run, step_code_for};
 
 #[test]
 fn the_step_of_a_run_is_the_finest_that_is_large_enough() {

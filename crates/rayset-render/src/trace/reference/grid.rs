@@ -1,7 +1,8 @@
 //! Grids by the formulas: trilinear values and central differences, or the labels that weigh most,
 //! in `f64`.
 
-use super::{NOTHING, ReferenceRenderer, Sample, SeenNode, maps, surface};
+use super::sample::{NOTHING, Sample};
+use super::{ReferenceRenderer, SeenNode, maps, surface};
 use crate::scene::{ColorRule, GRID_ATTRIBUTE, GridObject};
 use rayset_base::geometry::DVec3;
 use rayset_files::grid::GridHeader;

@@ -6,11 +6,13 @@
 
 mod grid;
 mod maps;
+mod sample;
 mod shared;
 mod tree;
 
 use std::sync::Arc;
 
+use self::sample::{Sample, combine};
 use self::shared::SharedShadows;
 use crate::field::AttributeColumns;
 use crate::field::reference::{ReferenceField, ReferenceSample};
@@ -75,29 +77,6 @@ pub enum ReferenceError {
     #[error(transparent)]
     File(#[from] ScanError),
 }
-
-/// The output of a node at one position.
-#[derive(Clone, Copy, Debug)]
-struct Sample {
-    opacity: f64,
-    color: [f64; 3],
-    /// Of length one or zero, world space.
-    normal: DVec3,
-    /// Signed distance to the boundary that the normal belongs to, world space; negative inside.
-    boundary: f64,
-    material: [f64; 6],
-    /// In the order of [`ReferenceRenderer::names`].
-    attributes: [f64; MOST_ATTRIBUTES],
-}
-
-const NOTHING: Sample = Sample {
-    opacity: 0.0,
-    color: [0.0; 3],
-    normal: DVec3::ZERO,
-    boundary: f64::INFINITY,
-    material: [0.0; 6],
-    attributes: [0.0; MOST_ATTRIBUTES],
-};
 
 /// The part of a graph that one ray can meet: fields without the points that are out of its reach.
 enum ReachableNode<'a> {
@@ -444,60 +423,4 @@ fn surface(node: &SeenNode<'_>, implicit: f64, gradient: DVec3) -> (DVec3, f64) 
     // A gradient too small for single precision has no direction.
     let normal = if length >= f64::from(f32::MIN_POSITIVE) { gradient / length } else { DVec3::ZERO };
     (normal, implicit / length)
-}
-
-/// Applies an operator to samples of its children, by the table of operators.
-fn combine(operator: Operator, samples: &[Sample], reach: f64) -> Sample {
-    match operator {
-        Operator::Union => samples.iter().skip(1).fold(samples[0], |a, b| {
-            let outside_both = a.opacity == 0.0 && b.opacity == 0.0;
-            if b.opacity > a.opacity || (outside_both && b.boundary < a.boundary) { *b } else { a }
-        }),
-        Operator::Intersection => {
-            let (mut shape, mut attributes) = (samples[0], samples[0]);
-            for s in &samples[1..] {
-                let ends_first = s.opacity == shape.opacity && s.boundary > shape.boundary;
-                if s.opacity < shape.opacity || ends_first {
-                    shape = *s;
-                }
-                if s.opacity > attributes.opacity {
-                    attributes = *s;
-                }
-            }
-            let Sample { color, material, attributes, .. } = attributes;
-            Sample { color, material, attributes, ..shape }
-        }
-        Operator::Difference => samples.iter().skip(1).fold(samples[0], |a, b| {
-            let cut = b.boundary.abs() < a.boundary.abs() && b.boundary.abs() <= reach;
-            let (normal, boundary) = if cut { (-b.normal, -b.boundary) } else { (a.normal, a.boundary) };
-            Sample { opacity: (a.opacity - b.opacity).max(0.0), normal, boundary, ..a }
-        }),
-        Operator::Blend => {
-            let sum: f64 = samples.iter().map(|s| s.opacity).sum();
-            if !(sum > 0.0) {
-                return NOTHING;
-            }
-            let mut mixed = NOTHING;
-            let mut largest = 0.0;
-            for s in samples.iter().filter(|s| s.opacity > 0.0) {
-                for channel in 0..3 {
-                    mixed.color[channel] += s.opacity * s.color[channel] / sum;
-                }
-                for (mixed, value) in mixed.attributes.iter_mut().zip(&s.attributes) {
-                    *mixed += s.opacity * value / sum;
-                }
-                for number in 0..5 {
-                    mixed.material[number] += s.opacity * s.material[number] / sum;
-                }
-                if s.opacity > largest {
-                    (largest, mixed.material[5]) = (s.opacity, s.material[5]);
-                }
-                if s.boundary.abs() < mixed.boundary.abs() {
-                    mixed.boundary = s.boundary;
-                }
-                mixed.normal += s.normal * s.opacity;
-            }
-            Sample { opacity: sum.min(MAX_OPACITY), normal: mixed.normal.normalize_or_zero(), ..mixed }
-        }
-    }
 }

@@ -1,0 +1,129 @@
+//! Encoding runs of points, as point pages have them.
+
+use super::layout::RootCell;
+use super::page::{
+    COARSEST_STEP, Encoding, ORIGIN_STEPS, RunHead, STEP_CODES, round_up_to_16_bits, step_fraction,
+};
+use rayset_base::geometry::{Aabb, DVec3};
+
+/// The columns of one run, as provided by the builder.
+#[derive(Clone, Copy, Debug)]
+pub struct RunColumns<'a> {
+    /// Positions in world space, 1 to 128 of them.
+    pub position: &'a [[f64; 3]],
+    /// Radii.
+    pub radius: &'a [f32],
+    /// Whether the radii are stored.
+    pub store_radius: bool,
+    /// Weights, if they are stored.
+    pub weight: Option<&'a [f32]>,
+    /// Colours, if they are stored.
+    pub color: Option<&'a [[u8; 3]]>,
+    /// Attribute columns, each value in its own type, little-endian.
+    pub attributes: &'a [&'a [u8]],
+}
+
+/// A run ready to be placed in a page.
+#[derive(Clone, Debug)]
+pub struct EncodedRun {
+    /// The record; its offset is set when the run is placed.
+    pub head: RunHead,
+    /// Largest distance between a stored and a given position, world space.
+    pub position_error: f64,
+    /// The same divided by the smallest radius of the run.
+    pub position_error_radii: f64,
+}
+
+/// Encodes a run, appending its data to `data`.
+///
+/// `precision` is the largest position error allowed, as a fraction of the smallest radius of the
+/// run; with zero, positions are stored exactly.
+pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &mut Vec<u8>) -> EncodedRun {
+    let mut bounds = Aabb::EMPTY;
+    run.position.iter().for_each(|p| bounds.include(DVec3::from_array(*p)));
+    let cell = root.size / ORIGIN_STEPS;
+    let origin =
+        ((bounds.min - root.min) / cell).floor().max(DVec3::ZERO).min(DVec3::splat(ORIGIN_STEPS - 1.0));
+    let corner = root.min + origin * cell;
+    let extent = (bounds.max - corner).max(DVec3::ZERO);
+    let radius_min = f64::from(run.radius.iter().copied().fold(f32::INFINITY, f32::min));
+    let radius_max = run.radius.iter().copied().fold(0.0, f32::max);
+
+    // For each encoding, the finest step whose largest offset fits; of the encodings, the smallest
+    // that is precise enough.
+    let finest = |steps: f64| step_code_for(extent.max_element() / steps, root.size);
+    let step = |code: u8| root.size * step_fraction(code);
+    let worst_error = |code: u8| 0.5 * 3_f64.sqrt() * step(code);
+    let good = |code: u8| worst_error(code) <= precision * radius_min;
+    let (code_u16, code_u32) = (finest(65279.0), finest(4_278_000_000.0));
+    let (encoding, step_code) = if precision > 0.0 && good(code_u16) {
+        (Encoding::U16, code_u16)
+    } else if precision > 0.0 && good(code_u32) {
+        (Encoding::U32, code_u32)
+    } else {
+        (Encoding::F64, code_u16)
+    };
+    let unit = step(step_code) * encoding.extent_steps();
+
+    let (mut error_squared, mut worst_axis) = (0.0_f64, 0.0_f64);
+    let start = data.len();
+    for axis in 0..3 {
+        for p in run.position {
+            let offset = ((p[axis] - corner[axis]) / step(step_code)).round();
+            match encoding {
+                Encoding::U16 => data.extend_from_slice(&(offset as u16).to_le_bytes()),
+                Encoding::U32 => data.extend_from_slice(&(offset as u32).to_le_bytes()),
+                Encoding::F64 => data.extend_from_slice(&p[axis].to_le_bytes()),
+            }
+        }
+    }
+    if encoding != Encoding::F64 {
+        for p in run.position {
+            let p = DVec3::from_array(*p);
+            let stored = corner + ((p - corner) / step(step_code)).round() * step(step_code);
+            error_squared = error_squared.max(stored.distance_squared(p));
+            worst_axis = worst_axis.max((stored - p).abs().max_element());
+        }
+    }
+    data.resize(start + (data.len() - start).next_multiple_of(4), 0);
+    let mut put = |values: &[f32]| values.iter().for_each(|v| data.extend_from_slice(&v.to_le_bytes()));
+    if run.store_radius {
+        put(run.radius);
+    }
+    if let Some(weight) = run.weight {
+        put(weight);
+    }
+    if let Some(color) = run.color {
+        color.iter().for_each(|c| data.extend_from_slice(&[c[0], c[1], c[2], 0]));
+    }
+    for attribute in run.attributes {
+        data.extend_from_slice(attribute);
+        data.resize(start + (data.len() - start).next_multiple_of(4), 0);
+    }
+
+    // Rounded offsets may exceed the exact extent by half a step, so the stored extent is rounded
+    // up.
+    let extent = (extent / unit + 0.5 / encoding.extent_steps()).ceil().min(DVec3::splat(255.0));
+    let head = RunHead {
+        origin: origin.to_array().map(|v| v as u32),
+        extent: extent.to_array().map(|v| v as u8),
+        radius_max: round_up_to_16_bits(radius_max),
+        count: run.position.len() as u8,
+        encoding,
+        step_code,
+        offset_words: 0,
+    };
+    // Squares of errors below 1e-154 underflow, but a nonzero error must not be reported as zero.
+    let position_error = error_squared.sqrt().max(worst_axis);
+    EncodedRun { head, position_error, position_error_radii: position_error / radius_min }
+}
+
+/// The largest code whose step is at least `step`.
+pub(super) fn step_code_for(step: f64, root_size: f64) -> u8 {
+    let exponent = if step > 0.0 { (root_size / step).log2().floor() as i32 } else { i32::MAX };
+    let mut code = exponent.saturating_sub(COARSEST_STEP).clamp(0, STEP_CODES - 1);
+    while code > 0 && root_size * 2_f64.powi(-COARSEST_STEP - code) < step {
+        code -= 1;
+    }
+    code as u8
+}
