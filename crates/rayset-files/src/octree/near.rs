@@ -1,8 +1,6 @@
 //! Looking a place up in a cloud's file: its nearest point, and where in space its pages lie. Pages
 //! are read one at a time, besides those of any session.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -14,6 +12,7 @@ use super::walk::{NodePages, Visit, Visitor, Walk};
 use crate::paged_file::HasPages;
 use crate::points::PointBatch;
 use rayset_base::geometry::{Aabb, DVec3};
+use rayset_base::nearest_first::NearestFirst;
 use rayset_store::container::{OpenFile, PageError, ScanError, SectionKind};
 
 impl Cloud {
@@ -28,7 +27,7 @@ impl Cloud {
             return Ok(found);
         }
         let mut pages = Pages::new(self)?;
-        let waiting = BinaryHeap::new();
+        let waiting = NearestFirst::default();
         let mut lookup = Lookup { cloud: self, place, nearest: within * within, found: &mut found, waiting };
         let mut walk = Walk::new();
         walk.begin(&mut pages, &mut lookup)?;
@@ -155,31 +154,8 @@ struct Lookup<'t> {
     /// The square of the distance of the nearest point so far.
     nearest: f64,
     found: &'t mut PointBatch,
-    waiting: BinaryHeap<Near>,
-}
-
-/// A node, by a least square of the distance of the points at and below it.
-struct Near {
-    distance_squared: f64,
-    node: Node,
-}
-
-impl PartialEq for Near {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-impl Eq for Near {}
-impl PartialOrd for Near {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Near {
-    /// Reversed, so that the heap yields the nearest node first.
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.distance_squared.total_cmp(&self.distance_squared)
-    }
+    /// By a least square of the distance of the points at and below a node.
+    waiting: NearestFirst<f64, Node>,
 }
 
 impl<'t> Visitor<Pages<'t>> for Lookup<'_> {
@@ -187,12 +163,12 @@ impl<'t> Visitor<Pages<'t>> for Lookup<'_> {
         let bounds = node.bounds(self.cloud.header().root_cell());
         let distance_squared = (self.place.clamp(bounds.min, bounds.max) - self.place).length_squared();
         if distance_squared <= self.nearest {
-            self.waiting.push(Near { distance_squared, node });
+            self.waiting.push(distance_squared, node);
         }
     }
 
     fn next(&mut self) -> Option<Node> {
-        let Near { distance_squared, node } = self.waiting.pop()?;
+        let (distance_squared, node) = self.waiting.pop()?;
         (distance_squared <= self.nearest).then_some(node)
     }
 

@@ -4,8 +4,6 @@
 //! opaque surface is ever requested; and each node is opened once per packet, however many slabs
 //! there are.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
 use std::ops::Range;
 
 use super::live_rays::LiveRays;
@@ -14,6 +12,7 @@ use super::placement::CloudPlacement;
 use crate::field::{Packet, SLAB_SAMPLES};
 use crate::trace::access::{Access, Halt};
 use rayset_base::geometry::{Aabb, Ray};
+use rayset_base::nearest_first::NearestFirst;
 use rayset_files::octree::layout::RUN_POINTS;
 use rayset_files::octree::node::Node;
 use rayset_files::octree::page::PointPage;
@@ -45,28 +44,9 @@ pub(super) struct Runs {
 
 #[derive(Clone, Copy, Debug)]
 struct Ahead {
-    first: u64,
+    /// Last sample that it may reach.
     last: u64,
     item: Item,
-}
-
-impl PartialEq for Ahead {
-    fn eq(&self, other: &Self) -> bool {
-        self.first == other.first
-    }
-}
-impl Eq for Ahead {}
-impl PartialOrd for Ahead {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Ahead {
-    /// The heap yields its greatest entry first, so nearer is greater. The order of ties does not
-    /// matter: runs are sorted before they are used.
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.first.cmp(&self.first)
-    }
 }
 
 /// Runs that some sample of the packet may need.
@@ -81,7 +61,9 @@ pub(super) struct ActiveRuns {
 /// Nodes and runs ahead of a packet.
 #[derive(Default)]
 pub(super) struct Frontier {
-    heap: BinaryHeap<Ahead>,
+    /// By the first sample that an entry may reach. The order of ties does not matter: runs are
+    /// sorted before they are used.
+    heap: NearestFirst<u64, Ahead>,
     walk: Walk,
 }
 
@@ -118,7 +100,7 @@ impl Frontier {
 
     /// The first sample that anything ahead may reach.
     pub(super) fn next_sample(&self) -> Option<u64> {
-        self.heap.peek().map(|e| e.first)
+        self.heap.nearest()
     }
 
     /// Opens everything that samples before `end` may need and moves its runs to `active`. Nodes
@@ -145,7 +127,7 @@ impl Frontier {
         let PacketInCloud { access, cloud, packet, rays } = place;
         let until = end + access.slabs_on_a_miss * SLAB_SAMPLES as u64;
         let mut pages: Vec<u32> = cloud.pages_to_open(node).collect();
-        for entry in self.heap.iter().filter(|entry| entry.first < until) {
+        for (_, entry) in self.heap.iter().filter(|(first, _)| *first < until) {
             if let Item::Node(node) = &entry.item
                 && rays.samples_in(packet, &node.bounds(cloud.root_cell)).is_some()
             {
@@ -163,7 +145,7 @@ impl Frontier {
         let middle = packet.ray(packet.len() / 2);
         let mut line = Line { cloud, middle, nearest: None, pages: Vec::new() };
         let mut nodes = NodesInMemory::new(access.pages, cloud);
-        for entry in &self.heap {
+        for (_, entry) in self.heap.iter() {
             if let Item::Node(node) = entry.item {
                 Visitor::<NodesInMemory<'_>>::meet(&mut line, node);
             }
@@ -180,7 +162,7 @@ impl Frontier {
 /// The nodes that samples of a packet before one need, while they are opened.
 struct Opening<'t> {
     place: PacketInCloud<'t>,
-    heap: &'t mut BinaryHeap<Ahead>,
+    heap: &'t mut NearestFirst<u64, Ahead>,
     /// The first sample that needs nothing yet.
     end: u64,
     active: &'t mut Vec<ActiveRuns>,
@@ -191,7 +173,7 @@ struct Opening<'t> {
 impl<'t> Opening<'t> {
     fn new(
         place: PacketInCloud<'t>,
-        heap: &'t mut BinaryHeap<Ahead>,
+        heap: &'t mut NearestFirst<u64, Ahead>,
         end: u64,
         active: &'t mut Vec<ActiveRuns>,
     ) -> Self {
@@ -210,7 +192,7 @@ impl<'t> Opening<'t> {
             if node.own.runs > MOST_SINGLE_RUNS {
                 let (first, last) = rays.samples_in(packet, node_bounds).unwrap_or((0, 0));
                 let runs = Runs { page, first: range.start as u16, end: range.end as u16 };
-                self.heap.push(Ahead { first, last, item: Item::Runs(runs) });
+                self.heap.push(first, Ahead { last, item: Item::Runs(runs) });
                 return;
             }
             for index in range {
@@ -218,12 +200,14 @@ impl<'t> Opening<'t> {
                 let Some((first, last)) = rays.samples_in(packet, &bounds) else { continue };
                 let item = Item::Runs(Runs { page, first: index as u16, end: index as u16 + 1 });
                 if last - first <= MOST_SAMPLES_AT_ONCE {
-                    self.heap.push(Ahead { first, last, item });
+                    self.heap.push(first, Ahead { last, item });
                     continue;
                 }
                 let ranges =
                     ranges_of_points(self.place, points, index).unwrap_or_else(|| vec![(first, last)]);
-                self.heap.extend(ranges.into_iter().map(|(first, last)| Ahead { first, last, item }));
+                for (first, last) in ranges {
+                    self.heap.push(first, Ahead { last, item });
+                }
             }
         })
     }
@@ -233,16 +217,15 @@ impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
     fn meet(&mut self, node: Node) {
         let PacketInCloud { cloud, packet, rays, .. } = self.place;
         if let Some((first, last)) = rays.samples_in(packet, &node.bounds(cloud.root_cell)) {
-            self.heap.push(Ahead { first, last, item: Item::Node(node) });
+            self.heap.push(first, Ahead { last, item: Item::Node(node) });
         }
     }
 
     fn next(&mut self) -> Option<Node> {
-        while let Some(entry) = self.heap.peek().copied().filter(|e| e.first < self.end) {
-            self.heap.pop();
+        while let Some((first, entry)) = self.heap.pop_before(self.end) {
             match entry.item {
                 Item::Runs(runs) => {
-                    self.active.push(ActiveRuns { runs, first: entry.first, last: entry.last });
+                    self.active.push(ActiveRuns { runs, first, last: entry.last });
                 }
                 Item::Node(node) => {
                     self.entry = Some(entry);
@@ -260,7 +243,7 @@ impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
         let Some(range) = rays.samples_in(packet, &bounds) else { return Ok(Visit::Skip) };
         if rays.misses_now(&bounds, range) {
             if let Some(entry) = self.entry.filter(|entry| entry.last >= self.end) {
-                self.heap.push(Ahead { first: self.end, ..entry });
+                self.heap.push(self.end, entry);
             }
             return Ok(Visit::Skip);
         }

@@ -1,8 +1,6 @@
 //! Up to sixty-four probe rays that are traced ahead through node records only, each as far as it
 //! is expected to reach.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
 use std::convert::Infallible;
 
 use super::policy::Expects;
@@ -10,6 +8,7 @@ use crate::field::{Crossing, LANES, RayColumns, SimdLevel};
 use crate::scene::OpacityRule;
 use crate::trace::cloud::{CloudShading, NodesInMemory};
 use rayset_base::geometry::{Aabb, Beam, DVec3, Ray};
+use rayset_base::nearest_first::NearestFirst;
 use rayset_files::octree::layout::RootCell;
 use rayset_files::octree::node::Node;
 use rayset_files::octree::walk::{NodePages, Visit, Visitor, Walk};
@@ -167,8 +166,14 @@ impl ProbeRays {
         want: &mut dyn FnMut(&Node),
     ) {
         let root_cell = nodes.header().root_cell();
-        let mut exploration =
-            Exploration { rays: self, expected, root_cell, want, ahead: BinaryHeap::new(), distance: 0.0 };
+        let mut exploration = Exploration {
+            rays: self,
+            expected,
+            root_cell,
+            want,
+            ahead: NearestFirst::default(),
+            distance: 0.0,
+        };
         let mut walk = Walk::new();
         let Ok(()) = walk.begin(nodes, &mut exploration);
         let Ok(()) = walk.go_on(nodes, &mut exploration);
@@ -182,19 +187,21 @@ struct Exploration<'t> {
     root_cell: RootCell,
     /// Called for each node that rays are expected to reach.
     want: &'t mut dyn FnMut(&Node),
-    ahead: BinaryHeap<Ahead>,
+    /// Nodes ahead of the rays, by the distance at which they meet them.
+    ahead: NearestFirst<f64, Node>,
     /// Distance at which the rays meet the node that is visited.
     distance: f64,
 }
 
 impl Visitor<NodesInMemory<'_>> for Exploration<'_> {
     fn meet(&mut self, node: Node) {
-        let meeting = self.rays.first_meeting(&node.bounds(self.root_cell));
-        self.ahead.extend(meeting.map(|distance| Ahead { distance, node }));
+        if let Some(distance) = self.rays.first_meeting(&node.bounds(self.root_cell)) {
+            self.ahead.push(distance, node);
+        }
     }
 
     fn next(&mut self) -> Option<Node> {
-        let Ahead { distance, node } = self.ahead.pop()?;
+        let (distance, node) = self.ahead.pop()?;
         self.distance = distance;
         Some(node)
     }
@@ -210,30 +217,6 @@ impl Visitor<NodesInMemory<'_>> for Exploration<'_> {
             self.rays.absorb(&crossing, self.expected.extinction(node, &bounds), self.expected);
         }
         Ok(Visit::Open)
-    }
-}
-
-/// A node ahead of the rays, with the distance at which they meet it.
-struct Ahead {
-    distance: f64,
-    node: Node,
-}
-
-impl PartialEq for Ahead {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-impl Eq for Ahead {}
-impl PartialOrd for Ahead {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Ahead {
-    /// Reversed, so that the heap yields the nearest node first.
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.distance.total_cmp(&self.distance)
     }
 }
 
