@@ -67,8 +67,8 @@ impl<D: Distance, T> NearestFirst<D, T> {
     }
 }
 
-/// An item that compares by its distance alone, and greater if nearer, because a `BinaryHeap` yields
-/// its greatest entry first.
+/// An item that compares by its distance alone, and greater if nearer: a `BinaryHeap` yields its
+/// greatest entry first.
 #[derive(Clone, Debug)]
 struct Entry<D, T> {
     distance: D,
