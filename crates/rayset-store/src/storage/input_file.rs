@@ -2,8 +2,8 @@
 //! that is remote.
 //!
 //! Remote objects are read ahead: the longer a reader goes on without a jump, the more is asked for
-//! at a time, in many requests at once, so that what it reads costs the rate of the connection and
-//! not a round trip for every buffer.
+//! at a time, in many requests at once. So what it reads costs the rate of the connection and not a
+//! round trip for every buffer.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
