@@ -16,7 +16,7 @@ use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::octree::verify::Depth;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
-use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Scene, Shape};
+use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Samples, Scene, Shape};
 use rayset::scene_file::SceneFile;
 use rayset::trace::{ExecSettings, render_once};
 use rayset::volumes::{self, RawLayout};
@@ -140,7 +140,7 @@ pub fn scenes(data: &[u8]) {
     (scene.settings.width, scene.settings.height) = (4, 4);
     // Haze of glass around everything may send a ray from every sample, again and again: rightly
     // slow, and nothing to find.
-    (scene.settings.samples, scene.settings.max_depth) = (1, scene.settings.max_depth.min(1));
+    (scene.settings.samples, scene.settings.max_depth) = (Samples::Fixed(1), scene.settings.max_depth.min(1));
     picture(&scene.scene, &scene.camera, &scene.settings);
 }
 

@@ -10,7 +10,7 @@ from ._image import Image
 from ._parts import Camera
 from ._progress import Progress, Told
 from ._render import _scene_of
-from ._scene import Scene
+from ._scene import Samples, Scene
 from ._session import Session
 
 
@@ -21,7 +21,7 @@ def render_frames(
     turntable: int | None = None,
     camera: Camera | None = None,
     size: Any = None,
-    samples: int | None = None,
+    samples: Samples | None = None,
     crop: Any = None,
     layers: bool = True,
     view: str | None = None,

@@ -14,7 +14,7 @@ from ._image import Image
 from ._objects import Object
 from ._parts import Camera
 from ._progress import Progress, Told
-from ._scene import Scene
+from ._scene import Samples, Scene
 from ._session import Session
 
 _log = logging.getLogger("rayset")
@@ -31,7 +31,7 @@ def render(
     *,
     camera: Camera | None = None,
     size: Any = None,
-    samples: int | None = None,
+    samples: Samples | None = None,
     lights: Any = None,
     background: _arguments.Color | None = None,
     exposure: float | None = None,
@@ -61,7 +61,8 @@ def render(
     size
         Width and height; 512 by 512, or the scene's.
     samples
-        Rays along each side of a pixel; what the look says (2), or the scene.
+        Rays along each side of a pixel, or ``"auto"``: one, and two along each side where the picture is not smooth; what the look says (2,
+        ``"auto"`` of gas), or the scene.
     lights, background, exposure, tone_mapping, rendering
         As :class:`Scene` has them, in place of those of the look or the scene.
     crop

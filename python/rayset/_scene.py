@@ -8,11 +8,13 @@ import os
 import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from . import _arguments, _compose, _native
 from ._objects import Cloud, Grid, Object, held_in_memory
 from ._parts import Camera
+
+Samples = int | Literal["auto"]
 
 
 class Scene:
@@ -29,7 +31,7 @@ class Scene:
     background
         A colour; ``"none"`` for transparent; that of the look by default.
     size, samples, exposure, tone_mapping
-        Width and height, rays along each side of a pixel, stops, ``"none"`` or ``"filmic"``.
+        Width and height, rays along each side of a pixel or ``"auto"``, stops, ``"none"`` or ``"filmic"``.
     rendering
         Settings as scenes have them, over those of the look: ``{"unitDistance": 0.01, "shadows": "exact"}``.
     look_options
@@ -44,7 +46,7 @@ class Scene:
         lights: Any = None,
         background: _arguments.Color | None = None,
         size: Any = (512, 512),
-        samples: int | None = None,
+        samples: Samples | None = None,
         exposure: float | None = None,
         tone_mapping: str | None = None,
         rendering: Mapping[str, Any] | None = None,
@@ -161,7 +163,7 @@ class Scene:
         if size is not None:
             image["size"] = list(_arguments.size(size))
         if samples is not None:
-            image["samples"] = _arguments.whole(samples, "samples", 1, 64)
+            image["samples"] = "auto" if samples == "auto" else _arguments.whole(samples, "samples", 1, 64)
         if exposure is not None:
             image["exposure"] = _arguments.number(exposure, "exposure", -32, 32)
         if tone_mapping is not None:

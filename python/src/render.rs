@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 use rayset::image::{Band, DisplayTransform};
 use rayset::memory::Kind as PageKind;
 use rayset::parts::PartError;
-use rayset::scene::Camera;
+use rayset::scene::{Camera, Samples};
 use rayset::scene_file::{SceneFile, SceneFileError};
 use rayset::storage;
 use rayset::{
@@ -160,7 +160,7 @@ pub(crate) struct Shot {
     camera: Camera,
     pub(crate) display: DisplayTransform,
     size: (u32, u32),
-    samples: u32,
+    samples: Samples,
     pub(crate) region: Region,
     has_layers: bool,
 }
@@ -437,7 +437,7 @@ fn coarse(
     (edge, one_ray): (u32, bool),
     cancel: &CancelToken,
 ) -> Result<Option<Picture>, Failure> {
-    if edge == 1 && one_ray && shot.samples == 1 {
+    if edge == 1 && one_ray && shot.samples == Samples::Fixed(1) {
         return Ok(None);
     }
     let progress = Progress::default();

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rayset::image::Band;
-use rayset::scene::{RenderSettings, Shadows, Step};
+use rayset::scene::{RenderSettings, Samples, Shadows, Step};
 use rayset::scene_file::SceneFile;
 use rayset::{
     BandSink, CancelToken, FinishedTile, PreparedScene, RenderError, Session, SinkError, View, Work,
@@ -71,9 +71,10 @@ impl Prepared {
         VisibleScene { file: self.file.clone(), scene: self.scene.clone() }
     }
 
-    /// Whether shading of the whole picture follows once it is traced.
-    fn is_shaded_at_the_end(&self) -> bool {
-        self.file.settings.ambient_occlusion > 0.0
+    /// Whether a pixel depends on its neighbours: tiles one by one are not the picture then.
+    fn looks_at_neighbours(&self) -> bool {
+        let RenderSettings { ambient_occlusion, samples, .. } = self.file.settings;
+        ambient_occlusion > 0.0 || matches!(samples, Samples::Auto { .. })
     }
 }
 
@@ -162,7 +163,7 @@ impl Frames {
         let prepared = self.prepared(show, order.grade)?;
         let encode = prepared.file.display_transform.rgba8();
         let (scene, camera) = (prepared.scene.clone(), compose::camera(&show.camera));
-        let is_shaded_at_the_end = prepared.is_shaded_at_the_end();
+        let looks_at_neighbours = prepared.looks_at_neighbours();
         match order.grade {
             Grade::Quick => {
                 let [width, height] = self.pacing.next_size(show.size);
@@ -171,7 +172,7 @@ impl Frames {
             }
             Grade::Fine => {
                 let view = scene.view_of_size(&camera, show.size[0], show.size[1])?;
-                self.fine(order, &view, is_shaded_at_the_end, &encode)
+                self.fine(order, &view, looks_at_neighbours, &encode)
             }
         }
     }
@@ -297,7 +298,7 @@ impl Frames {
         &mut self,
         order: &Order,
         view: &View,
-        is_shaded_at_the_end: bool,
+        looks_at_neighbours: bool,
         encode: &impl Fn([f32; 4]) -> [u8; 4],
     ) -> Result<(), Unfinished> {
         self.shown.resize(order.show.size);
@@ -317,7 +318,7 @@ impl Frames {
             let tile = finished.tile;
             parts.add([tile.x as u16, tile.y as u16, tile.width as u16, tile.height as u16])
         };
-        if is_shaded_at_the_end {
+        if looks_at_neighbours {
             view.clone().with_samples(1)?.render(&tiles, &order.cancel, &mut sink)?;
             let mut bands = Bands { parts: &mut parts, encode };
             view.render_bands(&view.region(), BAND_ROWS, &order.cancel, &mut bands)?;

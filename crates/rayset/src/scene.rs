@@ -13,6 +13,6 @@ pub use rayset_render::scene::{
     FINEST_DETAIL, Form, GRID_ATTRIBUTE, GridObject, Light, LightKind, Lighting, MAX_OPACITY,
     MOST_ATTRIBUTES, MOST_PLACES, MOST_STEPS, MOST_STEPS_IN_SOLIDS, MOST_STOPS, MapInput, Material,
     NamedPalette, Node, NoiseCloud, OpacityRule, Operator, Palette, PathError, Pattern, Procedural,
-    ProceduralSample, Projection, RenderSettings, SHORTEST, SampleOffset, Sampling, Scene, SceneError,
-    Shadows, Shape, Solid, Step, Transfer, TransferError, TransferFunction,
+    ProceduralSample, Projection, RenderSettings, SHORTEST, SampleOffset, Samples, Sampling, Scene,
+    SceneError, Shadows, Shape, Solid, Step, Transfer, TransferError, TransferFunction,
 };

@@ -197,7 +197,6 @@ impl Rendering<'_> {
             points: self.shot.points,
             chosen: self.shot.chosen.is_some(),
             is_solid: self.shot.look == Some("labels"),
-            rays_per_pixel: u64::from(settings.samples) * u64::from(settings.samples),
             cropped: self.region.pixels() < u64::from(settings.width) * u64::from(settings.height),
         }
     }

@@ -39,6 +39,7 @@ impl PictureArgs {
         }
         settings.samples = style.samples.unwrap_or(settings.samples);
         display_transform.exposure = style.exposure.unwrap_or(display_transform.exposure);
+        settings.samples = settings.samples.shown_with(display_transform.exposure);
     }
 
     /// The part of a picture of a size that is asked for.

@@ -34,7 +34,6 @@ pub(super) struct Circumstances {
     pub(super) chosen: bool,
     /// Whether all that is seen is solid by intent, as labels are.
     pub(super) is_solid: bool,
-    pub(super) rays_per_pixel: u64,
     pub(super) cropped: bool,
 }
 
@@ -122,11 +121,11 @@ impl Census {
                 100.0 * share(self.white)
             ));
         }
-        let rays = self.seen * of.rays_per_pixel;
+        let rays = self.seen as f64 * counts.rays as f64 / self.pixels.max(1) as f64;
         if of.chosen
             && !of.is_solid
-            && rays > 0
-            && counts.nonzero_samples as f64 / (rays as f64) < FIRST_SAMPLE
+            && rays > 0.0
+            && counts.nonzero_samples as f64 / rays < FIRST_SAMPLE
             && share(self.pixels) < 20.0
         {
             return Some(
@@ -158,9 +157,8 @@ mod tests {
 
     fn said(census: &Census, samples: u64, nonzero_samples: u64, chosen: bool) -> Option<String> {
         let mut counts = RenderCounts::default();
-        (counts.samples, counts.nonzero_samples) = (samples, nonzero_samples);
-        let of =
-            Circumstances { points: Some(9), chosen, is_solid: false, rays_per_pixel: 1, cropped: false };
+        (counts.rays, counts.samples, counts.nonzero_samples) = (census.pixels, samples, nonzero_samples);
+        let of = Circumstances { points: Some(9), chosen, is_solid: false, cropped: false };
         census.complaint(&counts, &of)
     }
 
@@ -176,13 +174,7 @@ mod tests {
         assert!(said(&census(BACKDROP, 0.0), 100, 60, true).expect("a remark").contains("--exposure 6"));
         assert!(said(&census([0.0; 3], 0.0), 100, 60, true).expect("a remark").contains("black"));
         assert!(said(&census([0.5; 3], 2.0), 100, 60, true).expect("a remark").contains("white"));
-        let of = Circumstances {
-            points: Some(0),
-            chosen: true,
-            is_solid: false,
-            rays_per_pixel: 1,
-            cropped: false,
-        };
+        let of = Circumstances { points: Some(0), chosen: true, is_solid: false, cropped: false };
         let empty = grey.complaint(&RenderCounts::default(), &of).expect("a remark");
         assert!(empty.contains("no point"), "{empty}");
         let mut counts = RenderCounts::default();

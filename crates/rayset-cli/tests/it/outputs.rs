@@ -420,14 +420,17 @@ fn wait_for_partial(folder: &Path, child: &mut Child) -> bool {
     true
 }
 
-/// Lets children hear SIGINT although whoever started these tests ignores it, as shells do for what
-/// runs in the background: a signal that is caught is not ignored in children.
+/// Lets children hear signals although whoever started these tests ignores them, as shells do with
+/// SIGINT for what runs in the background, and `nohup` with SIGHUP: a signal that is caught is not
+/// ignored in children.
 fn let_children_be_interrupted() {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored =
         status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
-    if ignored.is_some_and(|signals| signals >> (signal_hook::consts::SIGINT - 1) & 1 == 1) {
-        signal_hook::flag::register(signal_hook::consts::SIGINT, Arc::default()).expect("it can be caught");
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
+        if ignored.is_some_and(|signals| signals >> (signal - 1) & 1 == 1) {
+            signal_hook::flag::register(signal, Arc::default()).expect("it can be caught");
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use rayset::scene::{NamedPalette, OpacityRule};
 use serde_json::{Value, json};
 
 use super::ranges::over_logarithm;
+use crate::style::kinds::{Kind, Rays};
 use crate::style::{Background, Phase, Shading, StepLength, Style, ValueRange};
 use crate::values;
 
@@ -49,7 +50,7 @@ impl Style {
     /// it looks the same under any exposure.
     pub(super) fn apply_image(&self, scene: &mut Value, automatic: f64) {
         if let Some(samples) = self.samples {
-            scene["image"]["samples"] = json!(samples);
+            scene["image"]["samples"] = Rays.json(&samples);
         }
         expose(scene, self.exposure.unwrap_or(automatic));
     }

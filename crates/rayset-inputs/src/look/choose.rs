@@ -58,9 +58,6 @@ pub struct Stance {
 /// Estimates that cost a while, made when they are asked for.
 type Densities = Box<dyn FnOnce() -> Vec<f64>>;
 
-/// Rays along each side of a pixel if nothing is said: edges are smooth.
-const SAMPLES: u32 = 2;
-
 /// The picture that a scene is chosen for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Picture {
@@ -345,7 +342,7 @@ fn around(root: Value, comment: &str, (width, height): (u32, u32)) -> Value {
     root["comment"] = json!(comment);
     json!({
         "rayset": 1,
-        "image": {"size": [width, height], "samples": SAMPLES},
+        "image": {"size": [width, height], "samples": 2},
         "rendering": {},
         "root": root,
     })

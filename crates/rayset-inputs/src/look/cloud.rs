@@ -282,6 +282,7 @@ impl CloudLook {
                 // Of what glows smoothly half as many samples make the same picture, to a step of a
                 // byte, in half the time.
                 scene["rendering"]["stepFraction"] = json!(0.5);
+                scene["image"]["samples"] = json!("auto");
             }
             LookName::Splats => {
                 scene["lights"] = json!("none");

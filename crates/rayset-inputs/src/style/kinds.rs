@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::str::FromStr;
 
 use rayset::ParseError;
-use rayset::scene::{FARTHEST, OpacityRule, SHORTEST};
+use rayset::scene::{FARTHEST, OpacityRule, SHORTEST, Samples};
 use serde_json::{Value, json};
 
 use super::values::{Background, Choice, Flag, Rgb, StepLength, ValueRange, Words};
@@ -170,6 +170,37 @@ impl Kind<u32> for Whole {
 
     fn json(&self, value: &u32) -> Value {
         json!(value)
+    }
+}
+
+/// Rays of a pixel: a number along each side, 1 to 64, or `auto`.
+pub(crate) struct Rays;
+
+impl Kind<Samples> for Rays {
+    fn parse(&self, text: &str) -> Result<Samples, String> {
+        if text.trim() == "auto" {
+            return Ok(Samples::Auto { exposure: 0.0 });
+        }
+        let number = Whole(1, 64).parse(text).map_err(|expected| format!("{expected}, nor `auto`"))?;
+        Ok(Samples::Fixed(number))
+    }
+
+    fn text(&self, value: &Samples) -> String {
+        match value {
+            Samples::Fixed(number) => number.to_string(),
+            _ => "auto".to_owned(),
+        }
+    }
+
+    fn read(&self, json: &Value) -> Result<Samples, String> {
+        self.parse(&number_text(json)?)
+    }
+
+    fn json(&self, value: &Samples) -> Value {
+        match value {
+            Samples::Fixed(number) => json!(number),
+            _ => json!("auto"),
+        }
     }
 }
 

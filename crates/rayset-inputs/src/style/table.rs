@@ -1,9 +1,9 @@
 //! The table of a style's options. Each option is defined here and nowhere else.
 
-use rayset::scene::{Kernel, NamedPalette, OpacityRule};
+use rayset::scene::{Kernel, NamedPalette, OpacityRule, Samples};
 
 use super::kinds::{
-    Behind, Color, Kind, LENGTH, Named, Number, Opacity, Range, Step, Switch, Text, Vector, Whole, Word,
+    Behind, Color, Kind, LENGTH, Named, Number, Opacity, Range, Rays, Step, Switch, Text, Vector, Word,
 };
 use super::option::{OptionOf, Options, options};
 use super::values::{Background, Flag, LookName, Phase, Rgb, Shading, Side, StepLength, ValueRange};
@@ -20,8 +20,9 @@ options! {
     /// the data.
     Style
     Picture {
-        /// Rays along each side of a pixel, 1 to 64; 2 by default, 1 of scenes
-        samples: u32 = Whole(1, 64);
+        /// Rays along each side of a pixel, 1 to 64, or `auto`: one, and two where the picture
+        /// is not smooth. 2 by default, 1 of scenes and where all is smooth, auto of gas
+        samples: Samples = Rays;
         /// Exposure in stops, -32 to 32: light is multiplied by two to this power
         exposure: f64 = Number(-32.0, 32.0);
     }

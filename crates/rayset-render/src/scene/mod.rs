@@ -196,6 +196,48 @@ pub enum Sampling {
     Stratified,
 }
 
+/// How many rays a pixel has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Samples {
+    /// So many along each side of the pixel, 1 to 64: this number squared.
+    Fixed(u32),
+    /// One through the middle of the pixel, and two along each side instead where the picture
+    /// varies: where the light or the opacity of the one ray is not midway between those of
+    /// opposite neighbours. Of whole pictures and regions: tiles that are handed out one by one
+    /// have two along each side.
+    Auto {
+        /// Light is compared as it is shown: multiplied by two to this power, −32 to 32.
+        exposure: f32,
+    },
+}
+
+impl Samples {
+    /// The most rays along a side of a pixel.
+    #[must_use]
+    pub fn along_a_side(self) -> u32 {
+        match self {
+            Self::Fixed(number) => number,
+            Self::Auto { .. } => 2,
+        }
+    }
+
+    /// The same of a picture that is shown with an exposure in stops.
+    #[must_use]
+    pub fn shown_with(self, stops: f64) -> Self {
+        match self {
+            Self::Auto { .. } => Self::Auto { exposure: stops as f32 },
+            fixed => fixed,
+        }
+    }
+}
+
+impl From<u32> for Samples {
+    fn from(number: u32) -> Self {
+        Self::Fixed(number)
+    }
+}
+
 /// How the transmittance between a light and a sample is determined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -224,8 +266,8 @@ pub struct RenderSettings {
     /// A ray ends at the first sample behind which its transmittance is below this. 0: rays never
     /// end early.
     pub stop_transmittance: f32,
-    /// A pixel has this number squared of rays.
-    pub samples: u32,
+    /// How many rays a pixel has.
+    pub samples: Samples,
     /// Where these rays pass through the pixel.
     pub sampling: Sampling,
     /// How shadows are computed.
@@ -252,7 +294,7 @@ impl Default for RenderSettings {
             step: Step::default(),
             sample_offset: SampleOffset::Half,
             stop_transmittance: 0.01,
-            samples: 1,
+            samples: Samples::Fixed(1),
             sampling: Sampling::Fixed,
             shadows: Shadows::Exact,
             max_depth: 4,
@@ -267,7 +309,6 @@ setters!(RenderSettings {
     with_step => step: Step,
     with_sample_offset => sample_offset: SampleOffset,
     with_stop_transmittance => stop_transmittance: f32,
-    with_samples => samples: u32,
     with_sampling => sampling: Sampling,
     with_shadows => shadows: Shadows,
     with_max_depth => max_depth: u32,
@@ -280,6 +321,12 @@ impl RenderSettings {
     /// Whether layers are computed, for the caller or for ambient occlusion.
     pub(crate) fn records_layers(&self) -> bool {
         self.layers || self.ambient_occlusion > 0.0
+    }
+
+    /// Sets how many rays a pixel has: a number along each side, or [`Samples::Auto`].
+    #[must_use]
+    pub fn with_samples(self, samples: impl Into<Samples>) -> Self {
+        Self { samples: samples.into(), ..self }
     }
 
     /// Sets the size of the picture in pixels.
@@ -302,11 +349,12 @@ impl RenderSettings {
     /// from its upper left corner.
     #[must_use]
     pub fn ray_place(&self, x: u32, y: u32, i: u32, j: u32) -> (f64, f64) {
-        let cells = f64::from(self.samples);
+        let side = self.samples.along_a_side();
+        let cells = f64::from(side);
         let (u, v) = match self.sampling {
             Sampling::Fixed => (0.5, 0.5),
             Sampling::Stratified => {
-                let (column, row) = (x * self.samples + i, y * self.samples + j);
+                let (column, row) = (x * side + i, y * side + j);
                 (hash(column, row, 1), hash(column, row, 2))
             }
         };

@@ -4,7 +4,7 @@ use super::error::SceneFileError;
 use super::reader::{Cursor, Object};
 use crate::image::{DisplayTransform, ToneMapping};
 use crate::scene::{
-    Camera, CameraPath, Projection, RenderSettings, SHORTEST, SampleOffset, Sampling, Shadows, Step,
+    Camera, CameraPath, Projection, RenderSettings, SHORTEST, SampleOffset, Samples, Sampling, Shadows, Step,
 };
 use rayset_base::geometry::{Aabb, DVec3};
 
@@ -26,10 +26,11 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
             };
             (settings.width, settings.height) = (width.whole(1, 1 << 20)?, height.whole(1, 1 << 20)?);
         }
-        settings.samples = image.read_or("samples", 1, |at| at.whole(1, 16))?;
+        settings.samples = image.read_or("samples", Samples::Fixed(1), samples)?;
         let patterns = [("fixed", Sampling::Fixed), ("stratified", Sampling::Stratified)];
         settings.sampling = image.read_or("pattern", Sampling::Fixed, |at| at.one_of(&patterns))?;
         display_transform.exposure = image.read_or("exposure", 0.0, |at| at.number(-32.0, 32.0))?;
+        settings.samples = settings.samples.shown_with(display_transform.exposure);
         let mappings = [("none", ToneMapping::None), ("filmic", ToneMapping::Filmic)];
         display_transform.tone_mapping =
             image.read_or("toneMapping", ToneMapping::None, |at| at.one_of(&mappings))?;
@@ -65,6 +66,15 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
             rendering.read_or("shadows", Shadows::Cached { resolution }, |at| at.one_of(&kinds))?;
     }
     Ok((settings, display_transform))
+}
+
+/// Rays of a pixel.
+fn samples(at: &Cursor<'_>) -> Result<Samples, SceneFileError> {
+    match at.value.as_str() {
+        Some("auto") => Ok(Samples::Auto { exposure: 0.0 }),
+        Some(_) => Err(at.expected("a whole number from 1 to 64 or \"auto\"")),
+        None => at.whole(1, 64).map(Samples::Fixed),
+    }
 }
 
 fn step(rendering: &Object<'_>) -> Result<Step, SceneFileError> {

@@ -1,11 +1,12 @@
 //! Rendering a view into memory, or band by band as file encoders need it.
 
+use std::slice::from_ref;
+
 use super::ambient_occlusion::{AmbientOcclusion, Footprint, Surroundings};
-use super::sink::{BandSink, FinishedTile, Picture, SinkError, TileSink};
+use super::sink::{BandSink, Picture};
 use super::view::View;
-use super::work::{Region, Tile, Work};
+use super::work::{Region, Tile};
 use super::{RenderCounts, RenderError, SettingError};
-use crate::image::Band;
 use rayset_base::cancel::CancelToken;
 
 impl View {
@@ -77,22 +78,12 @@ impl View {
         while row < region.rows.end {
             let rows = row..self.end_of_band(row, band_rows, region.rows.end);
             let of_band = Region { columns: region.columns.clone(), rows };
-            let mut filling = Filling {
-                band: Band::new(
-                    row,
-                    of_band.columns.len() as u32,
-                    of_band.rows.len() as u32,
-                    self.settings.records_layers(),
-                ),
-                left: region.columns.start,
-                done,
-                total: region.pixels(),
-                sink: &mut *sink,
-            };
-            let work = Work::tiles(self.tiles(&of_band)).before(self.after(&of_band, band_rows, region));
-            counts += self.render(&work, cancel, &mut filling)?;
-            let band = filling.band;
-            sink.band(&band).map_err(RenderError::Sink)?;
+            let upcoming = self.after(&of_band, band_rows, region);
+            let mut progress = |of_band| sink.progress(done + of_band, region.pixels());
+            let (bands, of_band_counts) =
+                self.regions(from_ref(&of_band), upcoming, cancel, &mut progress)?;
+            counts += of_band_counts;
+            bands.iter().try_for_each(|band| sink.band(band)).map_err(RenderError::Sink)?;
             (row, done) = (of_band.rows.end, done + of_band.pixels());
         }
         Ok(counts)
@@ -121,24 +112,5 @@ impl View {
         let end = row + band_rows.clamp(1, last - row);
         let between = end / self.prepared.engine.exec.tile_pixels * self.prepared.engine.exec.tile_pixels;
         if end < last && between > row { between } else { end }
-    }
-}
-
-/// A band that is being filled with finished tiles.
-struct Filling<'s, S: BandSink + ?Sized> {
-    band: Band,
-    /// Leftmost column of the region.
-    left: u32,
-    done: u64,
-    total: u64,
-    sink: &'s mut S,
-}
-
-impl<S: BandSink + ?Sized> TileSink for Filling<'_, S> {
-    fn tile(&mut self, finished: &FinishedTile<'_>) -> Result<(), SinkError> {
-        finished.paste(&mut self.band, self.left);
-        self.done += finished.tile.pixels() as u64;
-        self.sink.progress(self.done, self.total);
-        Ok(())
     }
 }

@@ -6,6 +6,8 @@ use crate::field::SplatCounts;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct RenderCounts {
+    /// Rays from the eye.
+    pub rays: u64,
     /// Work on pairs of a ray and a point.
     pub splats: SplatCounts,
     /// Samples of the slabs evaluated, for the rays still active.
@@ -33,6 +35,7 @@ pub struct RenderCounts {
 
 impl std::ops::AddAssign for RenderCounts {
     fn add_assign(&mut self, other: Self) {
+        self.rays += other.rays;
         self.splats += other.splats;
         self.samples += other.samples;
         self.nonzero_samples += other.nonzero_samples;

@@ -1,8 +1,6 @@
 //! One render: its tiles, the threads that trace them, and the tiles that wait to be handed out.
 
-use std::any::Any;
 use std::cell::{Cell, RefCell};
-use std::collections::VecDeque;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Arc, PoisonError};
@@ -13,22 +11,18 @@ use super::layers::Layers;
 use super::packet_tracer::PacketTracer;
 use super::predict::{Lookahead, LookaheadState};
 use super::prepared::Prepared;
-use super::ray_tree::{MOST_SHEETS, Sheet};
-use super::scheduler::{Tally, Task, Turn};
+use super::progress::{FEW_WAITING, MOST_WAITING, Output, Progress, State};
+use super::ray_tree::{MOST_SHEETS, PrimaryRay, Sheet};
+use super::scheduler::{Task, Turn};
 use super::tiles::{Attempt, Deferred, TileQueue, Together};
-use super::work::{Tile, TilePlace, Work};
+use super::work::{PixelMask, Tile, TilePlace, Work};
 use super::{RenderCounts, RenderError};
 use crate::field::LANES;
-use crate::image::LayerPixel;
 use crate::scene::{RayMaker, RenderSettings};
 use rayset_base::cancel::CancelToken;
-use rayset_base::sync::{Condvar, Mutex, MutexGuard, lock_counting, wait_timeout};
+use rayset_base::sync::{Mutex, MutexGuard, wait_timeout};
 use rayset_store::working_set::{PageClient, Reuse};
 
-/// Most finished tiles that wait to be handed out; at this many, no further tiles are begun.
-const MOST_WAITING: usize = 32;
-/// With this many or fewer, threads that have left are called back.
-const FEW_WAITING: usize = MOST_WAITING / 2;
 /// The caller is woken at most this often while few tiles wait: waking costs a small tile's time.
 const BETWEEN_CALLS: Duration = Duration::from_millis(5);
 /// The caller looks for tiles of its own accord after this long.
@@ -41,6 +35,8 @@ pub(super) struct Job {
     rays: RayMaker,
     settings: RenderSettings,
     pub(super) tiles: Arc<[Tile]>,
+    /// The pixels of each tile that are traced, if they are not all.
+    traced: Option<Box<[PixelMask]>>,
     /// The range of rays of a pixel in each pass.
     passes: Vec<Range<u32>>,
     /// What the rays of each tile have seen in earlier passes; empty if there is only one pass.
@@ -50,62 +46,6 @@ pub(super) struct Job {
     /// Cancels this render only.
     stop: CancelToken,
     progress: Arc<Progress>,
-}
-
-/// How far a render has come. A thread that leaves releases the render itself before it reports so
-/// here, so that nothing of a render outlives the call.
-#[derive(Default)]
-pub(super) struct Progress {
-    state: Mutex<State>,
-    changed: Condvar,
-    tally: Arc<Tally>,
-}
-
-impl Progress {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        lock_counting(&self.state, &self.tally.lock_waits)
-    }
-
-    /// A thread has left.
-    fn left(&self) {
-        self.lock().threads -= 1;
-        self.changed.notify_all();
-    }
-
-    /// Makes the caller look at the state again.
-    pub(super) fn wake(&self) {
-        drop(self.lock());
-        self.changed.notify_all();
-    }
-}
-
-#[derive(Default)]
-struct State {
-    /// When the caller was last told of tiles.
-    called: Option<Instant>,
-    pass: usize,
-    /// The next tile of the pass.
-    next: usize,
-    /// Tiles of the pass that are finished.
-    finished: usize,
-    /// Tiles that threads deferred before they left.
-    left_behind: Vec<Deferred>,
-    outputs: VecDeque<Output>,
-    /// Tiles handed out since threads were last called back.
-    since_call: usize,
-    /// Threads at work.
-    threads: usize,
-    counts: RenderCounts,
-    error: Option<RenderError>,
-    panic: Option<Box<dyn Any + Send>>,
-}
-
-/// A finished tile.
-pub(super) struct Output {
-    pub(super) tile: Tile,
-    pub(super) pass: u32,
-    pub(super) pixels: [[f32; 4]; LANES],
-    pub(super) layers: Option<Box<[LayerPixel; LANES]>>,
 }
 
 /// What a render returns to its caller next.
@@ -136,7 +76,7 @@ impl Job {
         work: &Work,
         stop: &CancelToken,
     ) -> Self {
-        let passes = work.passes.ranges(settings.samples * settings.samples);
+        let passes = work.passes.ranges(settings.samples.along_a_side().pow(2));
         let kept = if passes.len() > 1 { work.tiles.len() } else { 0 };
         let (tiles, threads) = (Arc::<[Tile]>::from(&*work.tiles), prepared.engine.exec.threads);
         let visited = match work.upcoming.is_empty() {
@@ -149,13 +89,11 @@ impl Job {
             rays,
             settings,
             tiles,
+            traced: work.traced.as_deref().map(Box::from),
             passes,
             earlier: (0..kept).map(|_| Mutex::new(None)).collect(),
             stop: stop.clone(),
-            progress: Arc::new(Progress {
-                tally: prepared.engine.scheduler.tally().clone(),
-                ..Progress::default()
-            }),
+            progress: Arc::new(Progress::new(prepared.engine.scheduler.tally())),
             prepared,
         }
     }
@@ -289,7 +227,7 @@ impl Job {
         if let Some(deferred) = state.left_behind.pop() {
             return Some(deferred);
         }
-        if !state.has_tiles(self) {
+        if !state.has_tiles(self.passes.len(), self.tiles.len()) {
             return None;
         }
         let (tile, left) = (state.next, self.tiles.len() - state.next);
@@ -320,7 +258,7 @@ impl Job {
         for first in (0..sheets).step_by(at_once) {
             let make = |number: usize, sheet: &mut Sheet| {
                 let number = (first + number) as u32;
-                let tile = self.tiles[place.tile + (number / rays.len() as u32) as usize];
+                let tile = place.tile + (number / rays.len() as u32) as usize;
                 self.fill(tile, rays.start + number % rays.len() as u32, sheet);
             };
             tracer.trace(access, at_once, make, |number, seen| {
@@ -334,18 +272,22 @@ impl Job {
         Ok(outputs.map(|(place, sums)| self.output(place, sums, access, tracer)).collect())
     }
 
-    /// Makes the sheet of one ray of every pixel of a tile.
-    fn fill(&self, tile: Tile, cell: u32, sheet: &mut Sheet) {
-        let cells = self.settings.samples;
+    /// Makes the sheet of one ray of every pixel of a tile that is traced.
+    fn fill(&self, index: usize, cell: u32, sheet: &mut Sheet) {
+        let (tile, cells) = (self.tiles[index], self.settings.samples.along_a_side());
         let (i, j) = (cell % cells, cell / cells);
         sheet.clear();
-        for y in tile.y..tile.y + tile.height {
-            for x in tile.x..tile.x + tile.width {
-                let (u, v) = self.settings.ray_place(x, y, i, j);
-                let sample_offset = self.settings.sample_offset_of(x * cells + i, y * cells + j);
-                sheet.push((self.rays.ray(u, v), sample_offset));
-            }
+        for pixel in self.traced(index).pixels() {
+            let (x, y) = (tile.x + pixel as u32 % tile.width, tile.y + pixel as u32 / tile.width);
+            let (u, v) = self.settings.ray_place(x, y, i, j);
+            let sample_offset = self.settings.sample_offset_of(x * cells + i, y * cells + j);
+            sheet.push(PrimaryRay { ray: self.rays.ray(u, v), sample_offset, pixel });
         }
+    }
+
+    /// The pixels of a tile that are traced.
+    fn traced(&self, index: usize) -> PixelMask {
+        self.traced.as_ref().map_or_else(|| PixelMask::all_of(&self.tiles[index]), |traced| traced[index])
     }
 
     /// A tile as its rays have seen it so far.
@@ -365,7 +307,8 @@ impl Job {
             sums.layers = tracer.layers().cloned();
             *earlier.lock().unwrap_or_else(PoisonError::into_inner) = Some(Box::new(sums));
         }
-        Output { tile, pass: pass as u32, pixels, layers: known }
+        let traced = self.traced(index);
+        Output { tile, number: index, traced, pass: pass as u32, pixels, layers: known }
     }
 
     /// What the rays of a tile have seen in earlier passes; the thread's layers become those, too.
@@ -417,7 +360,9 @@ impl Job {
 impl Task for Job {
     fn has_work(&self) -> bool {
         let state = self.lock();
-        !self.stop.is_cancelled() && !state.is_filling() && state.has_tiles(self)
+        !self.stop.is_cancelled()
+            && !state.is_filling()
+            && state.has_tiles(self.passes.len(), self.tiles.len())
     }
 
     fn entered(&self) {
@@ -434,17 +379,5 @@ impl Task for Job {
     fn when_left(&self) -> Box<dyn FnOnce()> {
         let progress = self.progress.clone();
         Box::new(move || progress.left())
-    }
-}
-
-impl State {
-    /// Whether so many tiles wait that no thread joins.
-    fn is_filling(&self) -> bool {
-        self.outputs.len() > FEW_WAITING
-    }
-
-    fn has_tiles(&self, job: &Job) -> bool {
-        let fresh = self.pass < job.passes.len() && self.next < job.tiles.len();
-        fresh || !self.left_behind.is_empty()
     }
 }

@@ -10,7 +10,7 @@ use super::ray_tree::tree_bytes;
 use super::shadow::{DeepShadowMap, SHADOW_TILE_BYTES, Shadows};
 use super::unopened::Unopened;
 use crate::field::SimdLevel;
-use crate::scene::{RenderSettings, Scene};
+use crate::scene::{RenderSettings, Samples, Scene};
 use rayset_files::grid::Grid;
 use rayset_files::grid::format::PAGE_BYTES;
 use rayset_files::octree::Cloud;
@@ -46,6 +46,8 @@ pub struct SceneNeeds {
     pub(super) layers: bool,
     pub(super) writes_layers: bool,
     pub(super) ambient_occlusion: bool,
+    /// Whether pixels are traced again where the picture varies.
+    pub(super) traces_again: bool,
     /// Width and height of the picture in pixels.
     pub(super) size: (u32, u32),
     pub(super) threads: usize,
@@ -93,6 +95,7 @@ impl SceneNeeds {
             layers: settings.records_layers(),
             writes_layers: settings.layers,
             ambient_occlusion: settings.ambient_occlusion > 0.0,
+            traces_again: matches!(settings.samples, Samples::Auto { .. }),
             size: (settings.width, settings.height),
             threads: 1,
             process_bytes: 0,

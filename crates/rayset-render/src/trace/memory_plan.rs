@@ -74,9 +74,12 @@ impl Picture {
     fn plan(self, needs: &SceneNeeds, budget_bytes: u64) -> Result<MemoryPlan, u64> {
         let Self { width, height, threads, process_bytes } = self;
         let demand = Demand::of(&[needs], threads);
-        // Tiles are listed, 16 bytes each.
         let pixel = PIXEL_BYTES + if needs.layers { size_of::<LayerPixel>() as u64 } else { 0 };
-        let row = u64::from(width) * pixel + u64::from(width) / 2;
+        // Tiles are listed, 16 bytes each; those that are traced again with a mask of 8.
+        let listed = u64::from(width) / if needs.traces_again { 1 } else { 2 };
+        let row = u64::from(width) * pixel + listed;
+        // Above and below a band, a row is traced besides.
+        let rows_around: u32 = if needs.traces_again { 2 } else { 0 };
         let least_rows = LEAST_BAND_ROWS.min(height);
         // The picture's rows also pass through the encoder.
         let encoder = if needs.writes_layers {
@@ -85,7 +88,7 @@ impl Picture {
             8 * row
         };
         let kept_rows = if needs.ambient_occlusion { rows_kept(height) + ROWS_SENT.min(height) } else { 0 };
-        let fixed = process_bytes + demand.fixed + u64::from(kept_rows) * row + encoder;
+        let fixed = process_bytes + demand.fixed + u64::from(kept_rows + rows_around) * row + encoder;
         let least_page_bytes = demand.least_page_bytes();
         let least_bytes = fixed + u64::from(least_rows) * row + least_page_bytes;
         if budget_bytes < least_bytes {

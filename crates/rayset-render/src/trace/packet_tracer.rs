@@ -128,7 +128,7 @@ impl<'a> PacketTracer<'a> {
                 }
                 let seen = tree.seen_by(at);
                 if let Some(layers) = &mut self.layers {
-                    (0..sheet.len()).for_each(|pixel| layers.hide(pixel, 1.0 - seen[pixel].open as f32));
+                    sheet.iter().for_each(|of| layers.hide(of.pixel, 1.0 - seen[of.pixel].open as f32));
                 }
                 done(one, seen.map(|seen| seen.pixel(self.world.background)));
             }
@@ -247,7 +247,9 @@ impl<'a> PacketTracer<'a> {
         }
         self.refraction = refraction;
         let replaced = outcome?;
-        if !is_primary {
+        if is_primary {
+            self.counts.rays += members.len() as u64;
+        } else {
             self.counts.bounced_rays += members.len() as u64;
             let shadows = self.counts.shadow_splats - before.shadow_splats;
             self.counts.bounced_splats += self.counts.splats - before.splats - shadows;

@@ -30,8 +30,18 @@ pub(super) fn tree_bytes(max_depth: u32) -> u64 {
     (rays * RAY_BYTES + MOST_SHEETS * LANES * size_of::<PixelLight>()) as u64
 }
 
-/// At most 64 primary rays, each with its sample offset: one for each pixel of a tile.
-pub(super) type Sheet = Vec<(Ray, f64)>;
+/// A ray from the eye.
+#[derive(Clone, Copy)]
+pub(super) struct PrimaryRay {
+    pub(super) ray: Ray,
+    /// In steps.
+    pub(super) sample_offset: f64,
+    /// The pixel of the tile, less than 64.
+    pub(super) pixel: usize,
+}
+
+/// At most 64 primary rays of one tile, each of another pixel.
+pub(super) type Sheet = Vec<PrimaryRay>;
 
 /// One generation of rays, and the next. Kept from tile to tile: allocating and freeing it in
 /// between pages would fragment the heap, and the process would exceed its budget.
@@ -88,21 +98,22 @@ impl RayTree {
     }
 
     /// Makes some rays of sheet `at` the only ones, as if they had not been traced before.
-    pub(super) fn start_again(&mut self, sheet: &Sheet, rays: &RayMaker, pixels: Range<usize>, at: usize) {
+    pub(super) fn start_again(&mut self, sheet: &Sheet, rays: &RayMaker, some: Range<usize>, at: usize) {
         self.rays.truncate(self.traced);
-        self.seen[at * LANES + pixels.start..at * LANES + pixels.end].fill(PixelLight::default());
-        self.start(sheet, rays, pixels, at);
+        for primary in &sheet[some.clone()] {
+            self.seen[at * LANES + primary.pixel] = PixelLight::default();
+        }
+        self.start(sheet, rays, some, at);
     }
 
-    fn start(&mut self, sheet: &Sheet, rays: &RayMaker, pixels: Range<usize>, at: usize) {
-        let primary = pixels.clone().map(|pixel| {
-            let (ray, sample_offset) = sheet[pixel];
+    fn start(&mut self, sheet: &Sheet, rays: &RayMaker, some: Range<usize>, at: usize) {
+        let primary = sheet[some.clone()].iter().map(|&PrimaryRay { ray, sample_offset, pixel }| {
             let number = (at * LANES + pixel) as u32;
             let ray = TreeRay::primary(ray, sample_offset, number, rays.footprint(&ray));
             Successor { ray, parent: 0, order: 0 }
         });
         self.rays.splice(..self.traced, primary);
-        self.traced = pixels.len();
+        self.traced = some.len();
     }
 
     /// Makes the next generation the one to trace. Returns whether there is any.

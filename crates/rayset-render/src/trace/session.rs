@@ -13,7 +13,7 @@ use super::sink::Picture;
 use super::world::World;
 use super::{RenderCounts, RenderError, SettingError};
 use crate::field::SimdLevel;
-use crate::scene::{Camera, Node, RenderSettings, Scene, Shadows, Shape};
+use crate::scene::{Camera, Node, RenderSettings, Samples, Scene, Shadows, Shape};
 use rayset_base::cancel::CancelToken;
 use rayset_files::PagedFiles;
 use rayset_files::octree::Cloud;
@@ -335,8 +335,9 @@ fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
 }
 
 /// Refuses numbers of rays along a side of a pixel that are out of range.
-pub(super) fn check_samples(samples: u32) -> Result<(), RenderError> {
-    if (1..=64).contains(&samples) { Ok(()) } else { Err(SettingError::Samples(samples).into()) }
+pub(super) fn check_samples(samples: Samples) -> Result<(), RenderError> {
+    let side = samples.along_a_side();
+    if (1..=64).contains(&side) { Ok(()) } else { Err(SettingError::Samples(side).into()) }
 }
 
 /// Opens the files of a graph that are not open yet.

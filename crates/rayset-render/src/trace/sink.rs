@@ -3,7 +3,7 @@
 use std::io::BufWriter;
 use std::path::Path;
 
-use super::work::Tile;
+use super::work::{PixelMask, Tile};
 use crate::image::{Band, DisplayTransform, ImageError, LayerPixel, PngBands};
 use rayset_store::output::{Destination, OutputFile};
 
@@ -16,6 +16,10 @@ pub type SinkError = Box<dyn std::error::Error + Send + Sync>;
 pub struct FinishedTile<'a> {
     /// The tile's rectangle in the picture.
     pub tile: Tile,
+    /// Its number among the tiles of the work.
+    pub(super) number: usize,
+    /// The pixels of it that were traced.
+    pub(super) traced: PixelMask,
     /// The pass that has ended, counted from 0.
     pub pass: u32,
     /// Number of passes: the tile is final after the last.
@@ -33,18 +37,17 @@ impl FinishedTile<'_> {
         self.pass + 1 == self.passes
     }
 
-    /// Copies the tile to its place in a band that begins at column `left`, and has layers if the
-    /// tile does.
+    /// Copies the pixels that were traced to their places in a band that begins at column `left`,
+    /// and has layers if the tile does.
     pub(super) fn paste(&self, band: &mut Band, left: u32) {
-        let Tile { x, y, width, height } = self.tile;
-        let length = width as usize;
-        for row in 0..height {
-            let from = row as usize * length;
+        let Tile { x, y, width, .. } = self.tile;
+        for from in self.traced.pixels() {
+            let (column, row) = (from as u32 % width, from as u32 / width);
             let to = (y + row - band.first_row) as usize * band.width as usize;
-            let to = to + (x - left) as usize;
-            band.pixels[to..to + length].copy_from_slice(&self.pixels[from..from + length]);
+            let to = to + (x + column - left) as usize;
+            band.pixels[to] = self.pixels[from];
             if !self.layers.is_empty() {
-                band.layers[to..to + length].copy_from_slice(&self.layers[from..from + length]);
+                band.layers[to] = self.layers[from];
             }
         }
     }

@@ -9,7 +9,7 @@ use super::session::check_samples;
 use super::sink::{FinishedTile, TileSink};
 use super::work::{LOOKAHEAD_TILE_PIXELS, MAX_TILE_PIXELS, Region, Tile, Work};
 use super::{RenderCounts, RenderError, SettingError};
-use crate::scene::{Camera, RayMaker, RenderSettings};
+use crate::scene::{Camera, RayMaker, RenderSettings, Samples};
 use rayset_base::cancel::CancelToken;
 use rayset_base::geometry::curve::hilbert_order;
 
@@ -65,14 +65,13 @@ impl Drop for CancelWhenDropped<'_> {
 }
 
 impl View {
-    /// The same view with another number of rays along each side of a pixel, 1 to 64: fewer for a
-    /// preview.
+    /// The same view with another number of rays: fewer for a preview.
     ///
     /// # Errors
     /// [`RenderError::Setting`] if the number is out of range.
-    pub fn with_samples(mut self, samples: u32) -> Result<Self, RenderError> {
-        self.settings.samples = samples;
-        check_samples(samples)?;
+    pub fn with_samples(mut self, samples: impl Into<Samples>) -> Result<Self, RenderError> {
+        self.settings.samples = samples.into();
+        check_samples(self.settings.samples)?;
         Ok(self)
     }
 
@@ -166,6 +165,8 @@ impl View {
                     let pixels = tile.tile.pixels();
                     let finished = FinishedTile {
                         tile: tile.tile,
+                        number: tile.number,
+                        traced: tile.traced,
                         pass: tile.pass,
                         passes: job.passes(),
                         pixels: &tile.pixels[..pixels],

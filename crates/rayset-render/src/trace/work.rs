@@ -61,10 +61,33 @@ impl Tile {
 
 const _: () = assert!(MAX_TILE_PIXELS as usize * MAX_TILE_PIXELS as usize == LANES);
 
+/// Some pixels of a tile, counted row after row: a bit for each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PixelMask(pub(super) u64);
+
+impl PixelMask {
+    /// All pixels of a tile.
+    pub(super) fn all_of(tile: &Tile) -> Self {
+        Self(u64::MAX >> (LANES - tile.pixels().clamp(1, LANES)))
+    }
+
+    /// Their numbers, ascending.
+    pub(super) fn pixels(self) -> impl Iterator<Item = usize> {
+        (0..LANES).filter(move |pixel| self.0 >> pixel & 1 == 1)
+    }
+
+    /// How many they are.
+    pub(super) fn len(self) -> u64 {
+        u64::from(self.0.count_ones())
+    }
+}
+
 /// What is to be rendered of a view, and in what order. The order changes no pixel.
 #[derive(Clone, Debug)]
 pub struct Work {
     pub(super) tiles: Vec<Tile>,
+    /// The pixels of each tile that are traced, if they are not all.
+    pub(super) traced: Option<Vec<PixelMask>>,
     /// Tiles of which it is known that they are rendered next, by other work: they are only looked
     /// ahead at.
     pub(super) upcoming: Vec<Tile>,
@@ -86,7 +109,20 @@ impl Work {
     /// Tiles in the order in which they are to be rendered, each once with all of its rays.
     #[must_use]
     pub fn tiles(tiles: Vec<Tile>) -> Self {
-        Self { tiles, upcoming: Vec::new(), passes: Passes::One }
+        Self { tiles, traced: None, upcoming: Vec::new(), passes: Passes::One }
+    }
+
+    /// Some pixels of each tile alone.
+    pub(super) fn pixels(tiles: Vec<Tile>, traced: Vec<PixelMask>) -> Self {
+        Self { traced: Some(traced), ..Self::tiles(tiles) }
+    }
+
+    /// How many pixels are traced.
+    pub(super) fn traced_pixels(&self) -> u64 {
+        match &self.traced {
+            Some(traced) => traced.iter().map(|traced| traced.len()).sum(),
+            None => self.tiles.iter().map(|tile| tile.pixels() as u64).sum(),
+        }
     }
 
     /// The same work, when it is known which tiles will be rendered next.

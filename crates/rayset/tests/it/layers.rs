@@ -5,7 +5,8 @@ use std::sync::Arc;
 use rayset::geometry::{DAffine3, DVec3};
 use rayset::image::LayerPixel;
 use rayset::scene::{
-    Camera, Form, Lighting, Node, OpacityRule, Operator, Projection, RenderSettings, Scene, Shape, Step,
+    Camera, Form, Lighting, Node, OpacityRule, Operator, Projection, RenderSettings, Samples, Scene, Shape,
+    Step,
 };
 use rayset::trace::{ExecSettings, Picture, render_once};
 
@@ -99,7 +100,7 @@ fn layers_tell_distance_leaf_colour_and_normal_of_what_is_seen() {
         ..scene(Node::operator(Operator::Union, [near, wall(-1.0, [0.75, 0.25, 0.5])]), vec![])
     };
     let ahead = Camera { projection: Projection::Orthographic { height: 2.0 }, ..camera() };
-    let settings = RenderSettings { step: Step::Fixed(0.01), samples: 2, ..settings(32, 32) };
+    let settings = RenderSettings { step: Step::Fixed(0.01), samples: Samples::Fixed(2), ..settings(32, 32) };
     let found = layered(&scene, &ahead, &settings, &ExecSettings::default(), 100);
     // The first leaf is the nearer wall, the second what cuts it, the third the wall behind.
     for (x, depth, leaf, albedo) in [(28, 2.0, 1, [0.25, 0.5, 0.75]), (3, 4.0, 3, [0.75, 0.25, 0.5])] {

@@ -66,6 +66,7 @@ mod snapshots;
 mod splats;
 mod steps;
 mod tables;
+mod varying_pixels;
 mod vdb;
 mod volume_fixtures;
 mod volumes;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use rayset::geometry::DVec3;
 use rayset::parts::{Joined, Part, PartError, PartOptions, Share};
-use rayset::scene::{Camera, Form, LightKind, Node, Operator, RenderSettings, Scene, Step};
+use rayset::scene::{Camera, Form, LightKind, Node, Operator, RenderSettings, Samples, Scene, Step};
 use rayset::storage::MemoryStorage;
 use rayset::{CancelToken, RenderError, Session, View};
 use rayset_lab::simulated::Behaviour;
@@ -50,8 +50,16 @@ fn opened(bytes: Vec<u8>) -> Result<Part, PartError> {
 
 #[test]
 fn parts_in_memory_make_the_picture_whatever_is_held_at_a_time_and_keep_the_note() {
-    for (layers, ambient_occlusion) in [(false, 0.0), (true, 0.0), (false, 1.0), (true, 1.0)] {
-        let settings = RenderSettings { layers, ambient_occlusion, ..small() };
+    let one = Samples::Fixed(1);
+    for (layers, ambient_occlusion, samples) in [
+        (false, 0.0, one),
+        (true, 0.0, one),
+        (false, 1.0, one),
+        (true, 1.0, one),
+        (false, 0.0, Samples::Auto { exposure: 0.0 }),
+        (true, 1.0, Samples::Auto { exposure: 0.0 }),
+    ] {
+        let settings = RenderSettings { layers, ambient_occlusion, samples, ..small() };
         let view = view(&pair(0.9), &settings);
         let expected = view.picture().expect("a picture");
         for held_pixels in [0, 1500, 1 << 20] {
@@ -67,7 +75,8 @@ fn parts_in_memory_make_the_picture_whatever_is_held_at_a_time_and_keep_the_note
                 ((80, 70), view.region(), layers)
             );
             let picture = joined.picture().expect("a picture");
-            assert!(format!("{picture:?}") == format!("{expected:?}"), "{layers} {ambient_occlusion}");
+            let of = format!("{layers} {ambient_occlusion} {samples:?}");
+            assert!(format!("{picture:?}") == format!("{expected:?}"), "{of}");
         }
     }
 }

@@ -165,8 +165,8 @@ fn a_view_with_other_samples_is_that_of_a_scene_prepared_with_them() {
     let folder = folder();
     let (scene, settings) = scenes(folder.path()).swap_remove(1);
     let session = Session::over(paged(&scene, 1 << 30), exec(1)).expect("a session");
-    let view = |samples| {
-        let settings = RenderSettings { samples, ..settings };
+    let view = |samples: u32| {
+        let settings = settings.with_samples(samples);
         session.prepare(&scene, &settings).expect("a scene").view(&camera()).expect("a view")
     };
     let pixels = |view: &View| bits(&view.picture().expect("a picture").pixels);

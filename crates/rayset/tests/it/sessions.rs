@@ -8,7 +8,7 @@ use rayset::cancel::CancelToken;
 use rayset::field::Kernel;
 use rayset::geometry::DVec3;
 use rayset::image::LayerPixel;
-use rayset::scene::{Camera, Light, LightKind, Lighting, RenderSettings, Scene, Shadows};
+use rayset::scene::{Camera, Light, LightKind, Lighting, RenderSettings, Samples, Scene, Shadows};
 use rayset::scene_file::SceneFile;
 use rayset::trace::{
     ExecSettings, FinishedTile, Region, RenderError, Session, SettingError, SinkError, Tile, View, Work,
@@ -121,7 +121,7 @@ fn tiles_in_any_order_and_passes_of_any_size_come_to_the_picture_of_one_pass() {
     let folder = folder();
     let cloud = workload_cloud("knot-20k", folder.path());
     let scene = scene(&cloud, Kernel::Wyvill, true);
-    let settings = RenderSettings { samples: 3, layers: true, ..settings(44, 29) };
+    let settings = RenderSettings { samples: Samples::Fixed(3), layers: true, ..settings(44, 29) };
     let page = u64::from(cloud.header().page_bytes);
     let layers = |all: &[LayerPixel]| -> Vec<LayerPixel> {
         all.iter().map(|pixel| LayerPixel { bytes: 0.0, ..*pixel }).collect()
@@ -209,7 +209,7 @@ fn the_first_pass_is_the_mean_of_its_rays() {
     let cloud = workload_cloud("knot-20k", folder.path());
     let scene = scene(&cloud, Kernel::Wyvill, true);
     let session = Session::over(paged(&scene, 1 << 30), exec(2)).expect("a session");
-    let settings = RenderSettings { samples: 4, ..settings(24, 24) };
+    let settings = RenderSettings { samples: Samples::Fixed(4), ..settings(24, 24) };
     let view = session.prepare(&scene, &settings).expect("a scene").view(&camera()).expect("a view");
     let (mut first, mut last) = (0.0, 0.0);
     let mut sink = |tile: &FinishedTile<'_>| -> Result<(), SinkError> {

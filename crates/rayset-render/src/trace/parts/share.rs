@@ -124,11 +124,6 @@ impl Blocks {
         j as usize * self.columns as usize + i as usize
     }
 
-    /// The block in which a pixel of the picture lies.
-    pub(super) fn at(&self, x: u32, y: u32) -> (u32, u32) {
-        (x / LOOKAHEAD_TILE_PIXELS - self.first.0, y / LOOKAHEAD_TILE_PIXELS - self.first.1)
-    }
-
     /// The pixels of a block.
     pub(super) fn region(&self, (i, j): (u32, u32)) -> Region {
         let clipped = |at: u32, range: &Range<u32>| {

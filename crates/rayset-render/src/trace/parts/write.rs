@@ -1,16 +1,13 @@
 //! Rendering a share of a picture into a part.
 
-use std::collections::HashMap;
 use std::io::Write;
 
 use super::block::Contents;
 use super::error::PartError;
 use super::header::{About, ENTRY_BYTES, Foot, Head, MOST_NOTE_BYTES, MOST_TEXT_BYTES};
 use super::same::Same;
-use super::share::{Blocks, MOST_BLOCKS, Share};
-use crate::image::Band;
-use crate::trace::sink::{FinishedTile, SinkError, TileSink};
-use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region, Work};
+use super::share::{MOST_BLOCKS, Share};
+use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region};
 use crate::trace::{RenderCounts, View};
 use rayset_base::cancel::CancelToken;
 use rayset_base::setters;
@@ -75,18 +72,18 @@ impl View {
         let total = blocks.of_share(options.share).map(|block| blocks.region(block).pixels()).sum();
         let (mut counts, mut done) = (RenderCounts::default(), 0);
         while own.peek().is_some() {
-            let mut held = Held::new(&blocks, about.contents.has_layers());
-            while held.pixels < options.held_pixels.max(1)
+            let mut held: Vec<Region> = Vec::new();
+            let pixels = |held: &[Region]| held.iter().map(Region::pixels).sum::<u64>();
+            while pixels(&held) < options.held_pixels.max(1)
                 && let Some(block) = own.next()
             {
-                held.add(block);
+                held.push(blocks.region(block));
             }
-            let tiles = held.order.iter().flat_map(|&block| self.tiles(&blocks.region(block))).collect();
-            let mut sink = Filling { held: &mut held, done, total, progress: &mut *progress };
-            counts += self.render(&Work::tiles(tiles), cancel, &mut sink)?;
-            done = sink.done;
-            for block in held.order {
-                let Some((_, band)) = held.bands.remove(&block) else { continue };
+            let mut of_held = |finished| progress(done + finished, total);
+            let (bands, of_bands) = self.regions(&held, Vec::new(), cancel, &mut of_held)?;
+            counts += of_bands;
+            done += pixels(&held);
+            for band in bands {
                 writing.block(&about.contents.encode(&band.pixels, &band.layers))?;
             }
         }
@@ -105,51 +102,6 @@ impl View {
         let size = (self.settings.width, self.settings.height);
         let note = (options.note.len() as u64, same);
         About::new(options.share, size, region, contents, surroundings.as_ref(), note)
-    }
-}
-
-/// Blocks that are being rendered.
-struct Held<'a> {
-    blocks: &'a Blocks,
-    has_layers: bool,
-    /// In the order of the part.
-    order: Vec<(u32, u32)>,
-    /// The pixels of each, with its leftmost column.
-    bands: HashMap<(u32, u32), (u32, Band)>,
-    pixels: u64,
-}
-
-impl<'a> Held<'a> {
-    fn new(blocks: &'a Blocks, has_layers: bool) -> Self {
-        Self { blocks, has_layers, order: Vec::new(), bands: HashMap::new(), pixels: 0 }
-    }
-
-    fn add(&mut self, block: (u32, u32)) {
-        let region = self.blocks.region(block);
-        self.pixels += region.pixels();
-        self.order.push(block);
-        let (width, height) = (region.columns.len() as u32, region.rows.len() as u32);
-        let band = Band::new(region.rows.start, width, height, self.has_layers);
-        self.bands.insert(block, (region.columns.start, band));
-    }
-}
-
-/// Blocks that are being filled with finished tiles.
-struct Filling<'a, 'b> {
-    held: &'a mut Held<'b>,
-    done: u64,
-    total: u64,
-    progress: &'a mut dyn FnMut(u64, u64),
-}
-
-impl TileSink for Filling<'_, '_> {
-    fn tile(&mut self, finished: &FinishedTile<'_>) -> Result<(), SinkError> {
-        let block = self.held.blocks.at(finished.tile.x, finished.tile.y);
-        let (left, band) = self.held.bands.get_mut(&block).ok_or("a tile of no block of this part")?;
-        finished.paste(band, *left);
-        self.done += finished.tile.pixels() as u64;
-        (self.progress)(self.done, self.total);
-        Ok(())
     }
 }
 
