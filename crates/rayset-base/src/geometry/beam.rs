@@ -38,6 +38,15 @@ impl Beam {
         (self.direction_max - self.direction_min).max_element()
     }
 
+    /// The longest edge of the bound of the rays at a distance.
+    #[must_use]
+    #[inline]
+    pub fn width_at(&self, t: f64) -> f64 {
+        let (origins, directions) =
+            (self.origin_max - self.origin_min, self.direction_max - self.direction_min);
+        (origins + directions * t).max_element()
+    }
+
     /// The interval of distances t ≥ 0 in which some ray may be inside a box, or `None` if no ray
     /// meets it. Conservative.
     #[must_use]

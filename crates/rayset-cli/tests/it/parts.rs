@@ -238,7 +238,10 @@ fn parts_of_other_pictures_are_refused_and_it_is_said_what_differs() {
     let with = |more: &[&'static str]| [&plain[..], more].concat();
     refused(&with(&["--opacity", "extinction:3"]), &["its scene is", "the same input and options"]);
     refused(&["other.rset", "--size", "100x75", "--samples", "1"], &["clouds and grids", "the same files"]);
-    refused(&["cloud.rset", "--size", "100x75", "--samples", "2"], &["samples: Fixed(2), and there samples: Fixed(1)"]);
+    refused(
+        &["cloud.rset", "--size", "100x75", "--samples", "2"],
+        &["samples: Fixed(2), and there samples: Fixed(1)"],
+    );
     refused(&["cloud.rset", "--size", "100x76", "--samples", "1"], &["height: 76, and there height: 75"]);
     refused(&with(&["--crop", "0,0,100,60"]), &["rows 0..60", "rows 0..75 of 100x75 pixels"]);
     refused(&with(&["--view", "left"]), &["camera"]);

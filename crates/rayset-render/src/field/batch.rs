@@ -1,9 +1,13 @@
 //! Runs that are decoded together, so that a ray takes them block by block of its samples.
 
+use fearless_simd::prelude::*;
+
 use super::columns::PointColumns;
 use super::lane_ray::Frames;
+use super::packet::{Packet, Slab};
 use super::pairs::Pairs;
 use super::run::DecodedRun;
+use super::simd::{SimdLevel, dispatch};
 use rayset_files::octree::layout::RUN_POINTS;
 
 /// Most runs of a batch: more than a slab of an opaque cloud mostly needs, and few enough for the
@@ -35,13 +39,26 @@ pub(super) struct BatchedRun {
 }
 
 impl RunBatch {
-    /// Adds a run at the end, to be decoded into. `None` if the batch is full.
-    pub fn append(&mut self) -> Option<&mut DecodedRun> {
+    /// Adds a run at the end, whose place `place` decodes, if any samples of a slab on the rays in
+    /// `lanes` may lie in it; its points are then to be decoded into what is returned. `None` too
+    /// if the batch is full.
+    pub fn append(
+        &mut self,
+        (packet, slab, lanes): (&Packet, Slab, u64),
+        simd: SimdLevel,
+        place: impl FnOnce(&mut DecodedRun),
+    ) -> Option<&mut DecodedRun> {
         if self.len == MOST_RUNS {
             return None;
         }
         if self.len == self.runs.len() {
             self.runs.push(Box::default());
+        }
+        let BatchedRun { run, frames, .. } = &mut *self.runs[self.len];
+        place(run);
+        dispatch!(simd.level(), simd => set_frames(simd, frames, run, packet, slab));
+        if !run.may_be_wide && frames.meets.iter().all(|meets| meets & lanes == 0) {
+            return None;
         }
         self.len += 1;
         Some(&mut self.runs[self.len - 1].run)
@@ -63,4 +80,14 @@ impl RunBatch {
         let len = std::mem::take(&mut self.len);
         &mut self.runs[..len]
     }
+}
+
+/// Sets the frames of a run. It is the same for all kernels, and compiled apart from them: there
+/// are 42 loops over kernels and quantities for each set of instructions.
+#[inline(always)]
+fn set_frames<S: Simd>(simd: S, frames: &mut Frames, run: &DecodedRun, packet: &Packet, slab: Slab) {
+    simd.vectorize(
+        #[inline(always)]
+        || frames.set(simd, run, packet, slab),
+    );
 }

@@ -7,7 +7,7 @@ use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
 use super::kernel::Kernel;
 use super::simd::{SimdLevel, dispatch};
 use rayset_base::bytes::list_bytes;
-use rayset_base::geometry::DVec3;
+use rayset_base::geometry::{Aabb, DVec3};
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
 use rayset_files::octree::page::Run;
@@ -28,6 +28,9 @@ pub struct DecodedRun {
     pub(super) reach: [f32; 3],
     /// No less than the length of the vector of these.
     pub(super) reach_length: f32,
+    /// Whether it may need double precision, as far as its place tells: what is said of it in
+    /// single precision need not hold then.
+    pub(super) may_be_wide: bool,
     /// No more than the radius of any point.
     pub(super) radius_min: f32,
     pub(super) points: PointColumns,
@@ -114,7 +117,19 @@ impl RunDecoder {
         size_of_val(&*self.linear_from_srgb) + self.columns.bytes()
     }
 
-    /// Decodes a run for samples that are at least `step` apart, in the cloud's space.
+    /// Decodes where a run is, for samples that are at least `step` apart, in the cloud's space.
+    pub fn place(&self, run: &Run<'_>, header: &Header, step: f64, out: &mut DecodedRun) {
+        let bounds = run.head.position_bounds(self.root);
+        out.center = bounds.center();
+        let radius_max = f64::from(run.head.radius_max());
+        let half = bounds.size() * 0.5 + radius_max;
+        out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
+        out.reach_length = out.reach[0] + out.reach[1] + out.reach[2];
+        out.may_be_wide = is_wide(&bounds, (f64::from(header.radius.min()), radius_max), step);
+    }
+
+    /// Decodes the points of a run whose place is known, for samples that are at least `step`
+    /// apart, in the cloud's space.
     pub fn decode(&self, run: &Run<'_>, header: &Header, step: f64, simd: SimdLevel, out: &mut DecodedRun) {
         dispatch!(simd.level(), simd => self.decode_with(simd, run, header, step, out));
     }
@@ -124,11 +139,7 @@ impl RunDecoder {
         let n = run.head.len();
         out.len = n;
         let bounds = run.head.position_bounds(self.root);
-        out.center = bounds.center();
         let radius_max = f64::from(run.head.radius_max());
-        let half = bounds.size() * 0.5 + radius_max;
-        out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
-        out.reach_length = out.reach[0] + out.reach[1] + out.reach[2];
         run.decode_local(self.root, &mut out.points.position);
         let mut radius_min = f64::INFINITY;
         if let Some(r) = self.radius {
@@ -149,9 +160,7 @@ impl RunDecoder {
         self.decode_weights(run, header, out);
         self.decode_attributes(run, header, out);
         out.radius_min = radius_min as f32 * 0.9999;
-        let extent = bounds.size().max_element();
-        let is_wide =
-            extent > WIDEST_IN_F32 * radius_min || extent + 2.0 * radius_max > MOST_STEPS_IN_F32 * step;
+        let is_wide = is_wide(&bounds, (radius_min, radius_max), step);
         out.set_wide(is_wide.then_some((run, self.root)));
     }
 
@@ -201,6 +210,13 @@ impl RunDecoder {
     }
 }
 
+/// Whether points within some bounds need double precision: their least and largest radius, and
+/// the least distance between samples.
+fn is_wide(bounds: &Aabb, (radius_min, radius_max): (f64, f64), step: f64) -> bool {
+    let extent = bounds.size().max_element();
+    extent > WIDEST_IN_F32 * radius_min || extent + 2.0 * radius_max > MOST_STEPS_IN_F32 * step
+}
+
 /// Decodes a stored attribute. A value that is not finite counts as 0, so that it does not spoil
 /// its neighbours.
 #[inline(always)]
@@ -223,6 +239,7 @@ impl Default for DecodedRun {
             center: DVec3::ZERO,
             reach: [0.0; 3],
             reach_length: 0.0,
+            may_be_wide: false,
             radius_min: 0.0,
             points: PointColumns::default(),
             chunk_center: [[0.0; CHUNKS]; 3],

@@ -111,8 +111,7 @@ fn splat_runs<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
     // For each block of each ray, a bit for each run that may reach it.
     let mut reaching = [[0_u32; LANES]; BLOCKS];
     let mut lanes = 0;
-    for (number, item) in runs.iter_mut().enumerate() {
-        set_frames(simd, item, job);
+    for (number, item) in runs.iter().enumerate() {
         for block in 0..BLOCKS {
             let mut meets = item.frames.meets[block] & job.lanes;
             lanes |= meets;
@@ -189,17 +188,8 @@ impl Group {
     }
 }
 
-/// Sets the frames of a run. As [`points_near`], it is the same for all kernels, and compiled apart
-/// from them: there are 42 loops over kernels and quantities for each set of instructions.
-fn set_frames<S: Simd>(simd: S, item: &mut BatchedRun, job: &SplatJob<'_>) {
-    simd.vectorize(
-        #[inline(always)]
-        || item.frames.set(simd, &item.run, job.packet, job.slab),
-    );
-}
-
 /// Selects the points of a run near a group of rays: a bit for each. `None` if the group is too
-/// wide for that.
+/// wide for that. It is the same for all kernels, and compiled apart from them.
 fn points_near<S: Simd>(simd: S, item: &mut BatchedRun, packet: &Packet, first: usize) -> Option<[u64; 2]> {
     simd.vectorize(
         #[inline(always)]

@@ -320,7 +320,7 @@ fn ranges_of_points(place: PacketInCloud<'_>, points: &PointPage<'_>, run: usize
     }
     let positions = run.positions(cloud.root_cell);
     // Between the rays of a packet there may be any number of points that no ray meets.
-    let going = rays.ray_by_ray(packet);
+    let going = rays.ray_by_ray();
     let mut ranges: Vec<(u64, u64)> = (positions.iter().zip(&radii))
         .filter_map(|(&position, &radius)| {
             // Far larger than the rounding error when a point is added to samples.

@@ -1,6 +1,8 @@
 //! The live rays of a packet and those of their samples that still matter: which boxes they meet,
 //! and where.
 
+use std::cell::OnceCell;
+
 use crate::field::{LANES, Packet, RayColumns, SimdLevel, Slab};
 use crate::trace::node_samples::{Live, each_lane};
 use rayset_base::geometry::{Aabb, Beam};
@@ -12,9 +14,11 @@ const MOST_SPREAD: f64 = 0.25;
 pub(super) struct RaySet {
     lanes: u64,
     beam: Beam,
-    /// The rays individually, if the set is incomplete or its directions diverge: their common
-    /// bound may then contain much that no ray meets.
-    each: Option<RayColumns>,
+    /// Whether the rays are tested individually against every box: the set is incomplete or its
+    /// directions diverge, and their common bound may contain much that no ray meets.
+    apart: bool,
+    /// The rays individually, once they have been needed.
+    each: OnceCell<RayColumns>,
     /// The smallest and the largest step of these rays.
     steps: (f64, f64),
     simd: SimdLevel,
@@ -24,20 +28,21 @@ impl RaySet {
     fn new(packet: &Packet, lanes: u64, simd: SimdLevel) -> Self {
         let beam = packet.beam(lanes);
         let apart = lanes != packet.all() || beam.spread() > MOST_SPREAD;
-        let set = Self { lanes, beam, each: None, steps: (0.0, 0.0), simd };
-        if apart && lanes != 0 { set.ray_by_ray(packet) } else { set }
+        Self { lanes, beam, apart, each: OnceCell::new(), steps: packet.step_range(lanes), simd }
     }
 
     /// The same rays, tested individually.
-    fn ray_by_ray(&self, packet: &Packet) -> Self {
-        let each = (self.lanes != 0).then(|| RayColumns::new(self.simd, packet.rays(self.lanes)));
-        Self { each, steps: packet.step_range(self.lanes), ..*self }
+    fn ray_by_ray(&self) -> Self {
+        Self { apart: true, each: self.each.clone(), ..*self }
     }
 
     /// The samples that may lie in a box, or `None` if there are none.
     pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
         let (first, last) = packet.samples_in(&self.beam, bounds)?;
-        let Some(each) = &self.each else { return Some((first, last)) };
+        if self.lanes == 0 || !self.apart && !self.may_pass_between(packet, bounds, first) {
+            return Some((first, last));
+        }
+        let each = self.each.get_or_init(|| RayColumns::new(self.simd, packet.rays(self.lanes)));
         let crossing = each.cross(bounds, 0.0);
         if crossing.near == 0 {
             return None;
@@ -56,6 +61,12 @@ impl RaySet {
         let exit = f64::from(exit) * (1.0 + 1e-5) / least + 2.0;
         let (first, last) = (first.max(enter.max(0.0) as u64), last.min(exit as u64));
         (first <= last).then_some((first, last))
+    }
+
+    /// Whether a box that the rays come to with a sample is so small that some of them may miss it.
+    fn may_pass_between(&self, packet: &Packet, bounds: &Aabb, sample: u64) -> bool {
+        let there = sample as f64 * packet.step_world();
+        bounds.size().max_element() < self.beam.width_at(there)
     }
 }
 
@@ -135,8 +146,8 @@ impl LiveRays {
     }
 
     /// The same rays, tested individually.
-    pub(super) fn ray_by_ray(&self, packet: &Packet) -> RaySet {
-        self.going.ray_by_ray(packet)
+    pub(super) fn ray_by_ray(&self) -> RaySet {
+        self.going.ray_by_ray()
     }
 
     /// Whether none of the samples that matter in this slab lies in a box; `range` is the packet's

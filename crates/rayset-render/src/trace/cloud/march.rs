@@ -10,7 +10,7 @@ use crate::field::{
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
 use crate::trace::node_samples::{Live, Measure, NodeSamples, RequiredOutputs};
-use rayset_files::octree::page::PointPage;
+use rayset_files::octree::page::{PointPage, Run};
 
 /// What the part of an octree ahead of a packet takes, and the runs that it has reached. Lists that
 /// double as they grow: 4 to 42 KiB as measured, 20 in the mean of many clouds in one scene.
@@ -198,13 +198,11 @@ impl CloudMarch {
                         samples.is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
                     };
                     if reaches {
-                        let (raw, step) = (points.run(index), self.packet.least_step());
                         if batch.is_full() {
                             counts.splats += splatter.splat(batch, &self.packet, slab, lanes, None, field);
                         }
-                        let Some(run) = batch.append() else { continue };
-                        shading.decoder.decode(&raw, cloud.header(), step, splatter.simd, run);
-                        counts.runs += 1;
+                        let decoded = self.decode(volume, &points.run(index), request, lanes, batch);
+                        counts.runs += u64::from(decoded);
                     }
                 }
                 at += 1;
@@ -212,6 +210,23 @@ impl CloudMarch {
         }
         counts.splats += splatter.splat(batch, &self.packet, slab, lanes, request.ray_ends(shading), field);
         Ok(())
+    }
+
+    /// Decodes a run, if any samples of a slab on the rays in `lanes` may lie in it.
+    fn decode(
+        &self,
+        volume: &CloudVolume,
+        run: &Run<'_>,
+        request: Request<'_>,
+        lanes: u64,
+        batch: &mut RunBatch,
+    ) -> bool {
+        let (header, step, simd) = (volume.placement.header(), self.packet.least_step(), request.simd);
+        let decoder = &volume.shading.decoder;
+        let place = |to: &mut _| decoder.place(run, header, step, to);
+        let Some(to) = batch.append((&self.packet, request.slab, lanes), simd, place) else { return false };
+        decoder.decode(run, header, step, simd, to);
+        true
     }
 }
 
