@@ -1,5 +1,10 @@
 # Headings of gates with the time that each has taken, and a table of all of them at the end. To be sourced.
 set -euo pipefail
+# Programs are ended by signals. Whoever starts the gates may ignore these, as shells do for what runs in the background, and `nohup` does;
+# then programs would, too.
+if [ -z "${GATES_HEAR_SIGNALS:-}" ]; then
+    exec env --default-signal=INT,HUP GATES_HEAR_SIGNALS=1 "$PWD/.ci/$(basename "$0")" "$@"
+fi
 # Nothing is compiled twice, so nothing has to be kept for the next time.
 export CARGO_INCREMENTAL=0
 # Many tests wait, for servers that are silent and for processes that are killed: more run than there are cores. None may mind.
