@@ -5,12 +5,13 @@ use super::live_rays::{LiveRays, bits_between};
 use super::shading::CloudShading;
 use super::volume::CloudVolume;
 use crate::field::{
-    BATCH_BYTES, FieldSamples, LANES, Packet, RayEnds, RunBatch, SampleRow, SimdLevel, Slab, Splatter,
+    Appended, BATCH_BYTES, FieldSamples, LANES, Packet, RayEnds, RunBatch, RunKey, SampleRow, SimdLevel,
+    Slab, Splatter,
 };
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
 use crate::trace::node_samples::{Live, Measure, NodeSamples, RequiredOutputs};
-use rayset_files::octree::page::{PointPage, Run};
+use rayset_files::octree::page::PointPage;
 
 /// What the part of an octree ahead of a packet takes, and the runs that it has reached. Lists that
 /// double as they grow: 4 to 42 KiB as measured, 20 in the mean of many clouds in one scene.
@@ -201,8 +202,10 @@ impl CloudMarch {
                         if batch.is_full() {
                             counts.splats += splatter.splat(batch, &self.packet, slab, lanes, None, field);
                         }
-                        let decoded = self.decode(volume, &points.run(index), request, lanes, batch);
-                        counts.runs += u64::from(decoded);
+                        let of = (&shading.decoder, &points.run(index), cloud.header());
+                        let key = Some(RunKey { cloud: shading.number(), page, number: index as u16 });
+                        let appended = batch.append(of, key, (&self.packet, slab, lanes), splatter.simd);
+                        counts.runs += u64::from(appended == Appended::Decoded);
                     }
                 }
                 at += 1;
@@ -210,23 +213,6 @@ impl CloudMarch {
         }
         counts.splats += splatter.splat(batch, &self.packet, slab, lanes, request.ray_ends(shading), field);
         Ok(())
-    }
-
-    /// Decodes a run, if any samples of a slab on the rays in `lanes` may lie in it.
-    fn decode(
-        &self,
-        volume: &CloudVolume,
-        run: &Run<'_>,
-        request: Request<'_>,
-        lanes: u64,
-        batch: &mut RunBatch,
-    ) -> bool {
-        let (header, step, simd) = (volume.placement.header(), self.packet.least_step(), request.simd);
-        let decoder = &volume.shading.decoder;
-        let place = |to: &mut _| decoder.place(run, header, step, to);
-        let Some(to) = batch.append((&self.packet, request.slab, lanes), simd, place) else { return false };
-        decoder.decode(run, header, step, simd, to);
-        true
     }
 }
 
