@@ -5,7 +5,6 @@ mod batch;
 mod columns;
 mod counts;
 mod group;
-mod kept_runs;
 pub mod kernel;
 mod lane_ray;
 mod packet;
@@ -19,9 +18,8 @@ mod splat;
 mod splat_wide;
 mod sums;
 
-pub use batch::{Appended, BATCH_BYTES, RunBatch};
+pub use batch::{BATCH_BYTES, RunBatch};
 pub use counts::SplatCounts;
-pub use kept_runs::RunKey;
 pub use kernel::Kernel;
 pub use packet::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 pub use ray_columns::{Crossing, RayColumns};

@@ -51,7 +51,7 @@ impl Splatter {
         samples: &mut FieldSamples,
     ) -> SplatCounts {
         let mut counts = SplatCounts::default();
-        let mut runs = batch.runs();
+        let mut runs = batch.take();
         let limits = &BlockLimits::new();
         while !runs.is_empty() {
             // Runs that need double precision are added each by itself.
@@ -70,7 +70,6 @@ impl Splatter {
             };
             runs = later;
         }
-        batch.clear();
         counts
     }
 

@@ -5,13 +5,12 @@ use super::live_rays::{LiveRays, bits_between};
 use super::shading::CloudShading;
 use super::volume::CloudVolume;
 use crate::field::{
-    Appended, BATCH_BYTES, FieldSamples, LANES, Packet, RayEnds, RunBatch, RunKey, SampleRow, SimdLevel,
-    Slab, Splatter,
+    BATCH_BYTES, FieldSamples, LANES, Packet, RayEnds, RunBatch, SampleRow, SimdLevel, Slab, Splatter,
 };
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
 use crate::trace::node_samples::{Live, Measure, NodeSamples, RequiredOutputs};
-use rayset_files::octree::page::PointPage;
+use rayset_files::octree::page::{PointPage, Run};
 
 /// What the part of an octree ahead of a packet takes, and the runs that it has reached. Lists that
 /// double as they grow: 4 to 42 KiB as measured, 20 in the mean of many clouds in one scene.
@@ -202,10 +201,8 @@ impl CloudMarch {
                         if batch.is_full() {
                             counts.splats += splatter.splat(batch, &self.packet, slab, lanes, None, field);
                         }
-                        let of = (&shading.decoder, &points.run(index), cloud.header());
-                        let key = Some(RunKey { cloud: shading.number(), page, number: index as u16 });
-                        let appended = batch.append(of, key, (&self.packet, slab, lanes), splatter.simd);
-                        counts.runs += u64::from(appended == Appended::Decoded);
+                        let decoded = self.decode(volume, &points.run(index), request, lanes, batch);
+                        counts.runs += u64::from(decoded);
                     }
                 }
                 at += 1;
@@ -213,6 +210,23 @@ impl CloudMarch {
         }
         counts.splats += splatter.splat(batch, &self.packet, slab, lanes, request.ray_ends(shading), field);
         Ok(())
+    }
+
+    /// Decodes a run, if any samples of a slab on the rays in `lanes` may lie in it.
+    fn decode(
+        &self,
+        volume: &CloudVolume,
+        run: &Run<'_>,
+        request: Request<'_>,
+        lanes: u64,
+        batch: &mut RunBatch,
+    ) -> bool {
+        let (header, step, simd) = (volume.placement.header(), self.packet.least_step(), request.simd);
+        let decoder = &volume.shading.decoder;
+        let place = |to: &mut _| decoder.place(run, header, step, to);
+        let Some(to) = batch.append((&self.packet, request.slab, lanes), simd, place) else { return false };
+        decoder.decode(run, header, step, simd, to);
+        true
     }
 }
 
