@@ -73,3 +73,20 @@ fn whatever_is_said_of_a_picture_its_written_scene_renders_the_same_bytes() {
         assert_eq!(said, read("b.png"), "--{name}: the written scene");
     }
 }
+
+#[test]
+fn every_number_of_rays_that_may_be_asked_for_may_stand_in_a_scene() {
+    let folder = folder();
+    let f = folder.path();
+    write_points(&f.join("points.txt"));
+    let mut pictures = Vec::new();
+    for samples in ["--samples=auto", "--samples=2", "--samples=64"] {
+        let plain = ["render", "points.txt", "-o", "a.png", "--size", "12x9", "--write-scene", "s.json"];
+        succeeds(f, &[&plain[..], &[samples, "--look=gas", "--exposure=2"]].concat());
+        succeeds(f, &["render", "s.json", "-o", "b.png"]);
+        let said = fs::read(f.join("a.png")).expect("a picture");
+        assert_eq!(said, fs::read(f.join("b.png")).expect("a picture"), "{samples}");
+        pictures.push(said);
+    }
+    assert_ne!(pictures[0], pictures[1], "where the picture is smooth, a pixel has one ray");
+}
