@@ -100,7 +100,9 @@ fn bands_crops_and_budgets_do_not_change_what_is_drawn() {
         serde_json::from_slice::<serde_json::Value>(&text).expect("JSON")["peak_rss_bytes"].as_f64()
     };
     if let (Some(drawing), Some(without)) = (peak("s.json"), peak("p.json")) {
-        assert!(drawing <= without + more, "{drawing} instead of {without}, for {more} more");
+        // The code that draws is not counted, and large if it is not optimised.
+        let code = if cfg!(debug_assertions) { 512.0 * 1024.0 } else { 0.0 };
+        assert!(drawing <= without + more + code, "{drawing} instead of {without}, for {more} more");
     }
 
     succeeds(f, &[&drawn[..], &["-o", "part.png", "--crop", "200,9,110,201"]].concat());

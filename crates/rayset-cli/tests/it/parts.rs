@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::common::{folder, program};
+use crate::common::{folder, mebibytes, program};
 
 fn rayset(folder: &Path, arguments: &[&str]) -> Result<String, String> {
     let mut command = program();
@@ -61,6 +61,7 @@ fn parts_make_the_whole(folder: &Path, options: &[&str], whole: &str, counts: &[
     succeeds(folder, &[&render[..], &["-o", whole]].concat());
     let expected = fs::read(folder.join(whole)).expect("the picture");
     let layers: &[&str] = if whole.ends_with(".exr") { &["--layers"] } else { &[] };
+    let (little, _) = mebibytes(20.0);
     for &of in counts {
         let mut names: Vec<String> = Vec::new();
         for number in 1..=of {
@@ -68,7 +69,7 @@ fn parts_make_the_whole(folder: &Path, options: &[&str], whole: &str, counts: &[
             let work: &[&str] = match number % 3 {
                 0 => &["--threads", "1", "--predictor", "none"],
                 1 => &["--threads", "3", "--memory", "64MiB"],
-                _ => &["--io", "pool", "--memory", "20MiB", "--threads", "1"],
+                _ => &["--io", "pool", "--memory", &little, "--threads", "1"],
             };
             succeeds(folder, &[&render[..], layers, work, &["--part", &part, "-o", &name]].concat());
             names.push(name);

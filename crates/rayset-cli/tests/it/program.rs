@@ -47,13 +47,13 @@ fn points_become_a_cloud_a_report_and_a_picture() {
     succeeds(folder.path(), &["generate", "galaxy-20k", "-o", "g.ply"]);
     succeeds(
         folder.path(),
-        &["build", "g.ply", "-o", "g.rset", "--attributes", "weight", "--render-memory", "16MiB"],
+        &["build", "g.ply", "-o", "g.rset", "--attributes", "weight", "--render-memory", "24MiB"],
     );
     let info: serde_json::Value =
         serde_json::from_str(&succeeds(folder.path(), &["info", "g.rset", "--json"])).expect("JSON");
     assert_eq!(info["points"], 20_000);
     assert_eq!(info["color"], true);
-    assert_eq!(info["render_memory_stored"], 16 << 20);
+    assert_eq!(info["render_memory_stored"], 24 << 20);
     assert!(succeeds(folder.path(), &["info", "g.rset"]).contains("20 000"));
     for depth in [&[][..], &["--quick"], &["--deep"]] {
         assert!(succeeds(folder.path(), &[&["verify", "g.rset"], depth].concat()).starts_with("ok"));
