@@ -3,32 +3,48 @@
 use fearless_simd::prelude::*;
 
 use super::columns::PointColumns;
+use super::kept_runs::{DECODED_BYTES, KeptRuns, RunKey};
 use super::lane_ray::Frames;
 use super::packet::{Packet, Slab};
 use super::pairs::Pairs;
-use super::run::DecodedRun;
+use super::run::{DecodedRun, RunDecoder};
 use super::simd::{SimdLevel, dispatch};
-use rayset_files::octree::layout::RUN_POINTS;
+use rayset_files::octree::format::Header;
+use rayset_files::octree::page::Run;
 
 /// Most runs of a batch: more than a slab of an opaque cloud mostly needs, and few enough for the
 /// second cache.
 pub(super) const MOST_RUNS: usize = 8;
 
-/// The most bytes that a batch takes, of points with up to eight attributes.
-pub const BATCH_BYTES: u64 =
-    (MOST_RUNS * (size_of::<BatchedRun>() + 8 * RUN_POINTS * size_of::<f32>())) as u64;
+/// The most bytes that a batch takes, of points with up to eight attributes, besides the runs that
+/// it keeps.
+pub const BATCH_BYTES: u64 = (MOST_RUNS * (size_of::<BatchedRun>() + DECODED_BYTES)) as u64;
 
-/// Up to 8 runs, in the order of the file. Their memory is kept from batch to batch.
+/// Up to 8 runs, in the order of the file. Their memory is kept from batch to batch; if there is
+/// [room](Self::set_room), runs are, too.
 #[derive(Debug, Default)]
 pub struct RunBatch {
     runs: Vec<Box<BatchedRun>>,
     len: usize,
+    kept: KeptRuns,
+}
+
+/// What became of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Appended {
+    /// It is in the batch, and was decoded.
+    Decoded,
+    /// It is in the batch, and had been decoded before.
+    Known,
+    /// It is not in the batch: no sample may lie in it, or the batch is full.
+    Nothing,
 }
 
 /// A run, with scratch memory for the packet.
 #[derive(Debug, Default)]
 pub(super) struct BatchedRun {
-    pub(super) run: DecodedRun,
+    pub(super) run: Box<DecodedRun>,
+    key: Option<RunKey>,
     pub(super) frames: Frames,
     /// The points near one group of rays at a time.
     pub(super) near: PointColumns,
@@ -39,29 +55,54 @@ pub(super) struct BatchedRun {
 }
 
 impl RunBatch {
-    /// Adds a run at the end, whose place `place` decodes, if any samples of a slab on the rays in
-    /// `lanes` may lie in it; its points are then to be decoded into what is returned. `None` too
-    /// if the batch is full.
+    /// Adds a run at the end, if any samples of a slab on the rays in `lanes` may lie in it. A run
+    /// with a key is kept for the next time.
     pub fn append(
         &mut self,
+        (decoder, run, header): (&RunDecoder, &Run<'_>, &Header),
+        key: Option<RunKey>,
         (packet, slab, lanes): (&Packet, Slab, u64),
         simd: SimdLevel,
-        place: impl FnOnce(&mut DecodedRun),
-    ) -> Option<&mut DecodedRun> {
+    ) -> Appended {
         if self.len == MOST_RUNS {
-            return None;
+            return Appended::Nothing;
         }
         if self.len == self.runs.len() {
             self.runs.push(Box::default());
         }
-        let BatchedRun { run, frames, .. } = &mut *self.runs[self.len];
-        place(run);
-        dispatch!(simd.level(), simd => set_frames(simd, frames, run, packet, slab));
-        if !run.may_be_wide && frames.meets.iter().all(|meets| meets & lanes == 0) {
-            return None;
+        let (item, step) = (&mut *self.runs[self.len], packet.least_step());
+        item.key = key;
+        let is_known = key.is_some_and(|key| self.kept.take(key, step, &mut item.run));
+        if !is_known {
+            decoder.place(run, header, step, &mut item.run);
+        }
+        dispatch!(simd.level(), simd => set_frames(simd, &mut item.frames, &item.run, packet, slab));
+        if !item.run.may_be_wide && item.frames.meets.iter().all(|meets| meets & lanes == 0) {
+            if is_known {
+                self.keep(self.len);
+            }
+            return Appended::Nothing;
         }
         self.len += 1;
-        Some(&mut self.runs[self.len - 1].run)
+        if is_known {
+            return Appended::Known;
+        }
+        decoder.decode(run, header, step, simd, &mut item.run);
+        Appended::Decoded
+    }
+
+    /// Says whether there are [`KEPT_BYTES`](super::KEPT_BYTES) of memory to keep runs in; without,
+    /// as at first, none is kept.
+    pub fn set_room(&mut self, has_room: bool) {
+        self.kept.set_room(has_room);
+    }
+
+    /// Keeps the run of an item for the next time.
+    fn keep(&mut self, at: usize) {
+        let item = &mut *self.runs[at];
+        if let Some(key) = item.key {
+            self.kept.keep(key, &mut item.run);
+        }
     }
 
     /// Whether there is no room for another run.
@@ -70,15 +111,14 @@ impl RunBatch {
         self.len == MOST_RUNS
     }
 
-    /// Removes all runs.
-    pub fn clear(&mut self) {
-        self.len = 0;
+    /// The runs.
+    pub(super) fn runs(&mut self) -> &mut [Box<BatchedRun>] {
+        &mut self.runs[..self.len]
     }
 
-    /// Removes all runs; their memory is still valid.
-    pub(super) fn take(&mut self) -> &mut [Box<BatchedRun>] {
-        let len = std::mem::take(&mut self.len);
-        &mut self.runs[..len]
+    /// Removes all runs.
+    pub fn clear(&mut self) {
+        (0..std::mem::take(&mut self.len)).for_each(|at| self.keep(at));
     }
 }
 

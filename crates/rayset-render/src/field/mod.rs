@@ -5,6 +5,7 @@ mod batch;
 mod columns;
 mod counts;
 mod group;
+mod kept_runs;
 pub mod kernel;
 mod lane_ray;
 mod packet;
@@ -18,8 +19,9 @@ mod splat;
 mod splat_wide;
 mod sums;
 
-pub use batch::{BATCH_BYTES, RunBatch};
+pub use batch::{Appended, BATCH_BYTES, RunBatch};
 pub use counts::SplatCounts;
+pub use kept_runs::{KEPT_BYTES, RunKey};
 pub use kernel::Kernel;
 pub use packet::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 pub use ray_columns::{Crossing, RayColumns};

@@ -7,7 +7,7 @@ use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
 use super::kernel::Kernel;
 use super::simd::{SimdLevel, dispatch};
 use rayset_base::bytes::list_bytes;
-use rayset_base::geometry::{Aabb, DVec3};
+use rayset_base::geometry::DVec3;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
 use rayset_files::octree::page::Run;
@@ -31,6 +31,10 @@ pub struct DecodedRun {
     /// Whether it may need double precision, as far as its place tells: what is said of it in
     /// single precision need not hold then.
     pub(super) may_be_wide: bool,
+    /// The longest edge of the bounds of the positions, and the largest radius.
+    size: (f64, f64),
+    /// The least radius.
+    least_radius: f64,
     /// No more than the radius of any point.
     pub(super) radius_min: f32,
     pub(super) points: PointColumns,
@@ -125,7 +129,8 @@ impl RunDecoder {
         let half = bounds.size() * 0.5 + radius_max;
         out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
         out.reach_length = out.reach[0] + out.reach[1] + out.reach[2];
-        out.may_be_wide = is_wide(&bounds, (f64::from(header.radius.min()), radius_max), step);
+        out.size = (bounds.size().max_element(), radius_max);
+        out.may_be_wide = is_wide(out.size, f64::from(header.radius.min()), step);
     }
 
     /// Decodes the points of a run whose place is known, for samples that are at least `step`
@@ -138,8 +143,6 @@ impl RunDecoder {
     fn decode_with<S: Simd>(&self, simd: S, run: &Run<'_>, header: &Header, step: f64, out: &mut DecodedRun) {
         let n = run.head.len();
         out.len = n;
-        let bounds = run.head.position_bounds(self.root);
-        let radius_max = f64::from(run.head.radius_max());
         run.decode_local(self.root, &mut out.points.position);
         let mut radius_min = f64::INFINITY;
         if let Some(r) = self.radius {
@@ -160,7 +163,8 @@ impl RunDecoder {
         self.decode_weights(run, header, out);
         self.decode_attributes(run, header, out);
         out.radius_min = radius_min as f32 * 0.9999;
-        let is_wide = is_wide(&bounds, (radius_min, radius_max), step);
+        out.least_radius = radius_min;
+        let is_wide = is_wide(out.size, radius_min, step);
         out.set_wide(is_wide.then_some((run, self.root)));
     }
 
@@ -210,10 +214,9 @@ impl RunDecoder {
     }
 }
 
-/// Whether points within some bounds need double precision: their least and largest radius, and
-/// the least distance between samples.
-fn is_wide(bounds: &Aabb, (radius_min, radius_max): (f64, f64), step: f64) -> bool {
-    let extent = bounds.size().max_element();
+/// Whether points within bounds of a longest edge need double precision, with their largest and
+/// least radius, and the least distance between samples.
+fn is_wide((extent, radius_max): (f64, f64), radius_min: f64, step: f64) -> bool {
     extent > WIDEST_IN_F32 * radius_min || extent + 2.0 * radius_max > MOST_STEPS_IN_F32 * step
 }
 
@@ -240,6 +243,8 @@ impl Default for DecodedRun {
             reach: [0.0; 3],
             reach_length: 0.0,
             may_be_wide: false,
+            size: (0.0, 0.0),
+            least_radius: 0.0,
             radius_min: 0.0,
             points: PointColumns::default(),
             chunk_center: [[0.0; CHUNKS]; 3],
@@ -253,6 +258,12 @@ impl Default for DecodedRun {
 }
 
 impl DecodedRun {
+    /// Whether it is decoded as for samples that are at least `step` apart, as far as its place
+    /// tells.
+    pub(super) fn is_for(&self, step: f64) -> bool {
+        !self.may_be_wide && self.wide.is_none() && !is_wide(self.size, self.least_radius, step)
+    }
+
     /// Fills up the last chunk with copies of its first point, which do not enlarge its bounds and
     /// reach no sample.
     #[inline(always)]

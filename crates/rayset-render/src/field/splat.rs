@@ -51,7 +51,7 @@ impl Splatter {
         samples: &mut FieldSamples,
     ) -> SplatCounts {
         let mut counts = SplatCounts::default();
-        let mut runs = batch.take();
+        let mut runs = batch.runs();
         let limits = &BlockLimits::new();
         while !runs.is_empty() {
             // Runs that need double precision are added each by itself.
@@ -70,6 +70,7 @@ impl Splatter {
             };
             runs = later;
         }
+        batch.clear();
         counts
     }
 

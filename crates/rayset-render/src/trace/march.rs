@@ -272,6 +272,7 @@ impl<'p> March<'p> {
                 let (march, begun) = &mut self.clouds[at];
                 let march = march.get_or_insert_with(|| Box::new(CloudMarch::new(asked.packet)));
                 if !*begun {
+                    self.scratch.find_room(asked.access);
                     march.begin(asked.access, volume, asked.packet, program.simd)?;
                     *begun = true;
                 }

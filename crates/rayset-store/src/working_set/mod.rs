@@ -7,8 +7,8 @@
 //! needed later ([`Reuse`]); retained pages stay, and a release never evicts.
 //!
 //! Invariants, for any interleaving of threads:
-//! 1. The bytes of all pages, loading ones included, never exceed the budget, nor those of a kind
-//!    the budget of that kind.
+//! 1. The bytes of all pages, loading ones included, and what is [lent](Loan) never exceed the
+//!    budget, nor those of a kind the budget of that kind.
 //! 2. A page is never read by two reads at the same time, however many threads request it, and is
 //!    checked before use.
 //! 3. A lookup of a resident page takes one lock, that of its own slot, which is never held across
@@ -16,7 +16,7 @@
 //!
 //! `request` brings a page into memory, `eviction` and `reuse` choose the page to evict, `pool`
 //! defines the locks and their order; `object` has the states of pages, `guard` what retains them,
-//! `client` and `hints` who requests them.
+//! `client` and `hints` who requests them; `loan` lends what they leave.
 
 mod budget;
 mod client;
@@ -24,6 +24,7 @@ mod entry;
 mod eviction;
 mod guard;
 mod hints;
+mod loan;
 #[cfg(all(test, feature = "model"))]
 mod models;
 mod object;
@@ -43,6 +44,7 @@ use std::time::Duration;
 pub use self::budget::Limits;
 pub use self::client::PageClient;
 pub use self::guard::PageGuard;
+pub use self::loan::Loan;
 pub use self::object::Object;
 pub use self::reuse::Reuse;
 use self::shared::Shared;

@@ -140,13 +140,29 @@ impl PagePool {
     /// hold, if possible. Returns what was evicted.
     pub(super) fn set_limits(&self, limits: Limits) -> Vec<Evicted> {
         let mut state = self.lock();
-        state.budget.limits = limits;
+        state.budget.set_limits(limits);
         state.recycled.clear();
         let evicted = state.evict_excess(self.tick());
         drop(state);
         // There may be room now for a waiting thread.
         self.notify_waiting();
         evicted
+    }
+
+    /// Lends bytes of the budget. Returns what says when they are due, and what was evicted.
+    pub(super) fn lend(&self, bytes: u64) -> Option<(Arc<AtomicBool>, Vec<Evicted>)> {
+        let mut state = self.lock();
+        let due = state.budget.lend(bytes)?;
+        let evicted = state.evict_excess(self.tick());
+        drop(state);
+        self.has_evicted(&evicted);
+        Some((due, evicted))
+    }
+
+    /// Takes back bytes that were lent.
+    pub(super) fn take_back(&self, bytes: u64, due: &Arc<AtomicBool>) {
+        self.lock().budget.take_back(bytes, due);
+        self.notify_waiting();
     }
 
     /// Evicts everything that is neither retained nor loading. Returns what was evicted.

@@ -220,6 +220,34 @@ fn a_budget_full_of_retained_pages_is_an_error_that_names_what_is_needed() {
 }
 
 /// How many of 40 hinted pages are accepted if unused ones may take eight pages.
+#[test]
+fn what_is_lent_counts_as_pages_do_is_a_small_part_and_is_due_where_the_budget_falls() {
+    let (set, client, object, _) = set(64, 50, 0);
+    let in_memory = |set: &WorkingSet| set.shared.pool.used().iter().sum::<u64>();
+    (0..64).for_each(|page| drop(client.retain(&object, page).expect("room")));
+    assert_eq!(in_memory(&set), 64 * PAGE);
+    // A part in 32: two pages, and no third.
+    let loans = [client.lend(PAGE).expect("a loan"), client.lend(PAGE).expect("another")];
+    assert_eq!(in_memory(&set), 62 * PAGE, "pages make room for what is lent");
+    assert!(client.lend(1).is_none());
+    (0..64).for_each(|page| drop(client.retain(&object, page).expect("room")));
+    assert_eq!(in_memory(&set), 62 * PAGE);
+    // What is given back is room for pages, and may be lent again.
+    let [first, second] = loans;
+    drop(first);
+    (0..64).for_each(|page| drop(client.retain(&object, page).expect("room")));
+    assert_eq!(in_memory(&set), 63 * PAGE);
+    // A budget that falls a little leaves a loan; one that it is no small part of does not.
+    set.set_limits(Limits::total(32 * PAGE));
+    assert!(!second.is_due());
+    assert_eq!(in_memory(&set), 31 * PAGE);
+    set.set_limits(Limits::total(31 * PAGE));
+    assert!(second.is_due());
+    drop(second);
+    set.set_limits(Limits::total(64 * PAGE));
+    assert!(client.lend(2 * PAGE).is_some() && client.lend(2 * PAGE + 1).is_none());
+}
+
 fn hints_taken(client: &PageClient, object: &Arc<Object>) -> usize {
     client.hint(object, &(20..60).collect::<Vec<_>>(), 8 * PAGE)
 }

@@ -58,10 +58,7 @@ fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
                 if batch.is_full() {
                     counts += splatter.splat(&mut batch, &packet, slab, packet.all(), None, &mut samples);
                 }
-                let place = |run: &mut _| decoder.place(&raw, header, step, run);
-                if let Some(run) = batch.append((&packet, slab, packet.all()), simd, place) {
-                    decoder.decode(&raw, header, step, simd, run);
-                }
+                batch.append((&decoder, &raw, header), None, (&packet, slab, packet.all()), simd);
             })
             .expect("the cloud reads");
         counts += splatter.splat(&mut batch, &packet, slab, packet.all(), None, &mut samples);

@@ -5,12 +5,14 @@ use super::live_rays::{LiveRays, bits_between};
 use super::shading::CloudShading;
 use super::volume::CloudVolume;
 use crate::field::{
-    BATCH_BYTES, FieldSamples, LANES, Packet, RayEnds, RunBatch, SampleRow, SimdLevel, Slab, Splatter,
+    Appended, BATCH_BYTES, FieldSamples, KEPT_BYTES, LANES, Packet, RayEnds, RunBatch, RunKey, SampleRow,
+    SimdLevel, Slab, Splatter,
 };
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
 use crate::trace::node_samples::{Live, Measure, NodeSamples, RequiredOutputs};
-use rayset_files::octree::page::{PointPage, Run};
+use rayset_files::octree::page::PointPage;
+use rayset_store::working_set::Loan;
 
 /// What the part of an octree ahead of a packet takes, and the runs that it has reached. Lists that
 /// double as they grow: 4 to 42 KiB as measured, 20 in the mean of many clouds in one scene.
@@ -29,6 +31,8 @@ pub(in crate::trace) struct CloudMarch {
 /// Scratch memory shared by all clouds of a thread.
 pub(in crate::trace) struct CloudScratch {
     batch: RunBatch,
+    /// The memory in which runs are kept, if the pages leave it.
+    room: Option<Loan>,
     /// One for each set of channels used by any cloud.
     fields: Vec<FieldSamples>,
 }
@@ -43,7 +47,23 @@ impl CloudScratch {
     }
 
     pub(in crate::trace) fn new() -> Self {
-        Self { batch: RunBatch::default(), fields: Vec::new() }
+        Self { batch: RunBatch::default(), room: None, fields: Vec::new() }
+    }
+
+    /// Borrows memory of the pages to keep decoded runs in, if there is much of it, or gives it
+    /// back. To be called for each packet.
+    pub(in crate::trace) fn find_room(&mut self, access: Access<'_>) {
+        match &self.room {
+            Some(room) if room.is_due() => {
+                self.batch.set_room(false);
+                self.room = None;
+            }
+            Some(_) => {}
+            None => {
+                self.room = access.pages.lend(KEPT_BYTES as u64);
+                self.batch.set_room(self.room.is_some());
+            }
+        }
     }
 }
 
@@ -201,8 +221,10 @@ impl CloudMarch {
                         if batch.is_full() {
                             counts.splats += splatter.splat(batch, &self.packet, slab, lanes, None, field);
                         }
-                        let decoded = self.decode(volume, &points.run(index), request, lanes, batch);
-                        counts.runs += u64::from(decoded);
+                        let of = (&shading.decoder, &points.run(index), cloud.header());
+                        let key = Some(RunKey { cloud: shading.number(), page, number: index as u16 });
+                        let appended = batch.append(of, key, (&self.packet, slab, lanes), splatter.simd);
+                        counts.runs += u64::from(appended == Appended::Decoded);
                     }
                 }
                 at += 1;
@@ -210,23 +232,6 @@ impl CloudMarch {
         }
         counts.splats += splatter.splat(batch, &self.packet, slab, lanes, request.ray_ends(shading), field);
         Ok(())
-    }
-
-    /// Decodes a run, if any samples of a slab on the rays in `lanes` may lie in it.
-    fn decode(
-        &self,
-        volume: &CloudVolume,
-        run: &Run<'_>,
-        request: Request<'_>,
-        lanes: u64,
-        batch: &mut RunBatch,
-    ) -> bool {
-        let (header, step, simd) = (volume.placement.header(), self.packet.least_step(), request.simd);
-        let decoder = &volume.shading.decoder;
-        let place = |to: &mut _| decoder.place(run, header, step, to);
-        let Some(to) = batch.append((&self.packet, request.slab, lanes), simd, place) else { return false };
-        decoder.decode(run, header, step, simd, to);
-        true
     }
 }
 

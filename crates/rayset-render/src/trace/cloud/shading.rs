@@ -64,6 +64,11 @@ pub(in crate::trace) struct CloudShading {
 }
 
 impl CloudShading {
+    /// A number that no other shading has at the same time.
+    pub(super) fn number(&self) -> usize {
+        std::ptr::from_ref(self) as usize
+    }
+
     /// Bytes that it takes besides itself.
     pub(super) fn bytes(&self) -> usize {
         let color = if let Color::Map { table, .. } = &self.color { table.bytes() } else { 0 };
