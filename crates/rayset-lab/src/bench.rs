@@ -1,7 +1,7 @@
 //! `rayset bench`
 
 use std::path::PathBuf;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::Args;
@@ -11,6 +11,7 @@ use rayset::points::Workload;
 
 use crate::bare::{BARE_SAMPLES, bare_loop};
 use crate::features::{self, Cost};
+use crate::pictures;
 use crate::scenes;
 use crate::workloads::{Case, Measured, Prepared};
 use rayset_inputs::values;
@@ -27,7 +28,7 @@ use rayset_terminal::report;
 #[derive(Args)]
 pub struct BenchArgs {
     /// sphere-N or cube-N; the four standard ones by default. With --scenes, words that the names
-    /// of scenes contain
+    /// of scenes contain; with --pictures, files
     workloads: Vec<String>,
     /// Every sample is taken
     #[arg(long)]
@@ -48,10 +49,20 @@ pub struct BenchArgs {
     features: bool,
     /// Whole scenes instead, of generated data, on one thread and on two: grids, figures, lights,
     /// mirrors, glass
-    #[arg(long, conflicts_with_all = ["translucent", "memory", "out_of_core", "features", "threads"])]
+    #[arg(long, group = "whole", conflicts_with_all = ["translucent", "memory", "out_of_core", "features", "threads"])]
     scenes: bool,
-    /// Count the instructions of each scene, too, with Valgrind
-    #[arg(long, requires = "scenes")]
+    /// Whole commands instead, as people give them: `rayset render FILE -o PICTURE --size 960x640`
+    /// on each of these files; without files, on inputs that were found to be slow
+    #[arg(long, group = "whole", conflicts_with_all = ["translucent", "memory", "out_of_core", "features", "threads"])]
+    pictures: bool,
+    /// Measure another rayset's pictures in turns with this one's, as that of the commit before
+    #[arg(long, value_name = "PROGRAM", requires = "pictures")]
+    beside: Option<PathBuf>,
+    /// Stop a picture's command after so many seconds
+    #[arg(long, value_name = "SECONDS", requires = "pictures", default_value_t = 120)]
+    limit: u64,
+    /// Count the instructions of each scene or picture, too, with Valgrind
+    #[arg(long, requires = "whole")]
     instructions: bool,
     /// Renders of each case
     #[arg(long, default_value_t = 5)]
@@ -80,6 +91,8 @@ struct Report {
     features: Vec<Cost>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     scenes: Vec<scenes::Measured>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pictures: Vec<pictures::Measured>,
 }
 
 /// Measures, and reports.
@@ -109,6 +122,17 @@ fn workloads(args: &BenchArgs) -> Result<Vec<Workload>> {
 fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
     let bare = bare_evaluations_per_second(args.simd);
     let (mut results, mut features, mut scenes) = (Vec::new(), Vec::new(), Vec::new());
+    let mut pictures = Vec::new();
+    if args.pictures {
+        pictures = pictures::measure(&pictures::Options {
+            folder,
+            inputs: &args.workloads,
+            beside: args.beside.as_deref(),
+            repeat: args.repeat,
+            limit: Duration::from_secs(args.limit),
+            instructions: args.instructions,
+        })?;
+    }
     if args.scenes {
         scenes = scenes::measure(&scenes::Options {
             folder,
@@ -118,7 +142,7 @@ fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
             instructions: args.instructions,
         })?;
     }
-    for workload in &if args.scenes { Vec::new() } else { workloads(args)? } {
+    for workload in &if args.scenes || args.pictures { Vec::new() } else { workloads(args)? } {
         let prepared = Prepared::new(workload, folder, args.threads)?;
         if args.features {
             let session = Session::builder().threads(args.threads).simd(args.simd);
@@ -148,6 +172,7 @@ fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
         results,
         features,
         scenes,
+        pictures,
     })
 }
 
@@ -195,6 +220,10 @@ fn describe(report: &Report) -> Result<()> {
     report::say("");
     if !report.scenes.is_empty() {
         scenes::describe(&report.scenes);
+        return Ok(());
+    }
+    if !report.pictures.is_empty() {
+        pictures::describe(&report.pictures);
         return Ok(());
     }
     if !report.features.is_empty() {

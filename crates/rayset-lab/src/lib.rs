@@ -7,6 +7,7 @@ pub mod bare;
 pub mod bench;
 mod features;
 pub mod figure;
+mod pictures;
 #[cfg(feature = "internals")]
 pub mod requests;
 mod scenes;

@@ -151,15 +151,24 @@ impl Run {
 /// Instructions of a small picture, in millions.
 fn instructions(folder: &Path, scene: &Path) -> Result<u64> {
     let program = std::env::current_exe().context("cannot find this program's own file")?;
+    let picture = folder.join("counted.png");
+    let arguments = ["--size", COUNTED_SIZE, "--threads", "1", "--simd", "avx2", "--memory", "2GiB"];
+    let mut command = Command::new(program);
+    command.arg("render").arg(scene).arg("-o").arg(picture).args(arguments);
+    million_instructions(folder, &command)
+}
+
+/// The instructions of a command, in millions, as Valgrind counts them.
+pub(crate) fn million_instructions(folder: &Path, command: &Command) -> Result<u64> {
     let counted = folder.join("callgrind.out");
-    let mut command = Command::new("valgrind");
-    command.arg("--tool=callgrind").arg("--quiet");
-    command.arg(format!("--callgrind-out-file={}", counted.display()));
-    command.arg(program).arg("render").arg(scene).arg("-o").arg(folder.join("counted.png"));
-    command.args(["--size", COUNTED_SIZE, "--threads", "1", "--simd", "avx2", "--memory", "2GiB"]);
-    command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
-    let status = interrupts::run(&mut command).context("cannot start valgrind, which counts instructions")?;
-    ensure!(status.success(), "valgrind could not render {}", scene.display());
+    let mut valgrind = Command::new("valgrind");
+    valgrind.arg("--tool=callgrind").arg("--quiet");
+    valgrind.arg(format!("--callgrind-out-file={}", counted.display()));
+    valgrind.arg(command.get_program()).args(command.get_args());
+    valgrind.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
+    let status =
+        interrupts::run(&mut valgrind).context("cannot start valgrind, which counts instructions")?;
+    ensure!(status.success(), "valgrind could not run {command:?}");
     let text = fs::read_to_string(&counted).with_context(|| format!("cannot read {}", counted.display()))?;
     let total =
         text.lines().find_map(|line| line.strip_prefix("summary: ").or(line.strip_prefix("totals: ")));

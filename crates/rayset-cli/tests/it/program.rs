@@ -149,6 +149,38 @@ fn the_benchmark_reports_what_anyone_would_compare() {
 }
 
 #[test]
+fn the_benchmark_of_pictures_measures_two_programs_and_stops_what_takes_too_long() {
+    let folder = folder();
+    succeeds(folder.path(), &["generate", "knot-5k", "-o", "p.ply"]);
+    let bench = |more: &[&str]| {
+        let arguments = [&["bench", "--pictures", "p.ply", "--repeat", "1", "--json"], more].concat();
+        let text = succeeds(folder.path(), &arguments);
+        let report: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        let pictures = report["pictures"].as_array().expect("pictures").clone();
+        assert_eq!(pictures.len(), 1, "{report}");
+        pictures[0].clone()
+    };
+    let both = bench(&["--beside", env!("CARGO_BIN_EXE_rayset")]);
+    assert_eq!(
+        (&both["picture"], &both["width"], &both["height"]),
+        (&"p.ply".into(), &960.into(), &640.into())
+    );
+    for cost in [&both["cost"], &both["beside"]] {
+        assert!(cost["seconds"].as_f64().is_some_and(|v| v > 0.0), "{both}");
+        assert!(cost["peak_rss_bytes"].as_u64().is_some_and(|v| v > 1 << 20), "{both}");
+        if cfg!(target_os = "linux") {
+            assert!(cost["cpu_seconds"].as_f64().is_some_and(|v| v > 0.0), "{both}");
+        }
+    }
+    if cfg!(target_os = "linux") {
+        let stopped = bench(&["--limit", "0"]);
+        assert!(stopped["cost"]["cpu_seconds"].is_null() && stopped["beside"].is_null(), "{stopped}");
+    }
+    let said = fails(folder.path(), &["bench", "--pictures", "none.ply"]);
+    assert!(said.contains("there is no none.ply"), "{said}");
+}
+
+#[test]
 fn the_benchmark_of_scenes_has_a_line_for_each_number_of_threads() {
     let folder = folder();
     let text = succeeds(
