@@ -210,11 +210,13 @@ fn processor() -> String {
 }
 
 fn describe(report: &Report) -> Result<()> {
+    // Commands have the threads that they choose themselves.
+    let threads =
+        if report.pictures.is_empty() { format!(", {} thread(s)", report.threads) } else { String::new() };
     report::say(format_args!(
-        "{}, {}, {} thread(s); bare loop {:.2} G evaluations a second",
+        "{}, {}{threads}; bare loop {:.2} G evaluations a second",
         report.processor,
         report.simd,
-        report.threads,
         report.bare_evaluations_per_second / 1e9
     ));
     report::say("");
