@@ -3,11 +3,11 @@
 use fearless_simd::prelude::*;
 
 use super::columns::PointColumns;
-use super::kept_runs::{DECODED_BYTES, KeptRuns, RunKey};
+use super::kept_runs::{KeptRuns, RunKey};
 use super::lane_ray::Frames;
 use super::packet::{Packet, Slab};
 use super::pairs::Pairs;
-use super::run::{DecodedRun, RunDecoder};
+use super::run::{DECODED_BYTES, DecodedRun, RunDecoder};
 use super::simd::{SimdLevel, dispatch};
 use rayset_files::octree::format::Header;
 use rayset_files::octree::page::Run;

@@ -1,15 +1,12 @@
 //! Runs that have been decoded: the next slab of a packet needs many of them again, and so do its
 //! neighbours.
 
-use super::run::DecodedRun;
-use rayset_files::octree::layout::RUN_POINTS;
+use super::run::{DECODED_BYTES, DecodedRun};
 
 /// Most runs that are kept: about what a packet and its neighbours need.
 const MOST_KEPT: usize = 32;
 
-/// Bytes of a run with up to eight attributes.
-pub(super) const DECODED_BYTES: usize = size_of::<DecodedRun>() + 8 * RUN_POINTS * size_of::<f32>();
-/// The most bytes that kept runs take, of points with up to eight attributes.
+/// The most bytes that kept runs take: larger runs are not kept.
 pub const KEPT_BYTES: usize = MOST_KEPT * (size_of::<Kept>() + DECODED_BYTES);
 
 /// Which run it is.
@@ -56,13 +53,16 @@ impl KeptRuns {
         let Some(at) = self.runs.iter().position(|kept| kept.key == key) else { return false };
         let kept = self.runs.swap_remove(at).run;
         let is_right = kept.is_for(step);
-        self.spare.push(if is_right { std::mem::replace(run, kept) } else { kept });
+        let other = if is_right { std::mem::replace(run, kept) } else { kept };
+        if other.is_small() {
+            self.spare.push(other);
+        }
         is_right
     }
 
-    /// Keeps a run, if there is room; `run` is memory for another then.
+    /// Keeps a run, if there is room and it is not too large; `run` is memory for another then.
     pub(super) fn keep(&mut self, key: RunKey, run: &mut Box<DecodedRun>) {
-        if !self.has_room {
+        if !self.has_room || !run.is_small() {
             return;
         }
         self.uses += 1;
@@ -73,5 +73,35 @@ impl KeptRuns {
         }
         let other = self.spare.pop().unwrap_or_default();
         self.runs.push(Kept { key, last_use: self.uses, run: std::mem::replace(run, other) });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(number: u16) -> RunKey {
+        RunKey { cloud: 1, page: 2, number }
+    }
+
+    #[test]
+    fn runs_are_kept_if_there_is_room_and_they_fit_and_the_oldest_goes_first() {
+        let (mut kept, mut run) = (KeptRuns::default(), Box::<DecodedRun>::default());
+        let mut keep = |kept: &mut KeptRuns, number, columns| {
+            run.attribute = vec![[0.0; 128]; columns];
+            kept.keep(key(number), &mut run);
+        };
+        let mut found = Box::<DecodedRun>::default();
+        keep(&mut kept, 0, 1);
+        assert!(!kept.take(key(0), 1.0, &mut found), "there is no room");
+        kept.set_room(true);
+        keep(&mut kept, 1, 9);
+        assert!(!kept.take(key(1), 1.0, &mut found), "it has more columns than were borrowed for");
+        (0..=MOST_KEPT as u16).for_each(|number| keep(&mut kept, number, 8));
+        assert!(!kept.take(key(0), 1.0, &mut found) && kept.take(key(1), 1.0, &mut found));
+        assert_eq!(found.attribute.len(), 8);
+        assert!(!kept.take(RunKey { page: 3, ..key(2) }, 1.0, &mut found));
+        kept.set_room(false);
+        assert!(!kept.take(key(2), 1.0, &mut found), "its memory was given back");
     }
 }

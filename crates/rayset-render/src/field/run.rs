@@ -18,6 +18,13 @@ use rayset_files::octree::page::Run;
 const WIDEST_IN_F32: f64 = 128.0;
 /// Most samples across a run that can be counted exactly in single precision.
 const MOST_STEPS_IN_F32: f64 = (1 << 22) as f64;
+
+/// Most columns of attributes of a run that is kept.
+const MOST_COLUMNS: usize = 8;
+/// Bytes of a run with so many columns, in single precision.
+pub(super) const DECODED_BYTES: usize =
+    size_of::<DecodedRun>() + MOST_COLUMNS * RUN_POINTS * size_of::<f32>();
+
 /// Up to 128 points stored by columns, relative to the centre of their bounds.
 #[derive(Clone, Debug)]
 pub struct DecodedRun {
@@ -258,6 +265,12 @@ impl Default for DecodedRun {
 }
 
 impl DecodedRun {
+    /// Whether it takes no more memory than [`DECODED_BYTES`].
+    pub(super) fn is_small(&self) -> bool {
+        let columns = self.attribute.capacity() + self.label.capacity();
+        self.wide.is_none() && self.spare_wide.is_none() && columns <= MOST_COLUMNS
+    }
+
     /// Whether it is decoded as for samples that are at least `step` apart, as far as its place
     /// tells.
     pub(super) fn is_for(&self, step: f64) -> bool {

@@ -15,13 +15,13 @@ pub struct Loan {
 }
 
 impl PageClient {
-    /// Lends memory of the budget, if it is a small part of it; evicts pages that have no room any
-    /// more.
+    /// Lends memory of the budget, if it is a small part of it, and if evicting pages that are not
+    /// retained makes room.
     #[must_use]
     pub fn lend(&self, bytes: u64) -> Option<Loan> {
-        let (due, evicted) = self.shared.pool.lend(bytes)?;
+        let (due, evicted) = self.shared.pool.lend(bytes);
         self.shared.count_evictions(&evicted);
-        Some(Loan { shared: self.shared.clone(), bytes, due })
+        due.map(|due| Loan { shared: self.shared.clone(), bytes, due })
     }
 }
 

@@ -149,14 +149,19 @@ impl PagePool {
         evicted
     }
 
-    /// Lends bytes of the budget. Returns what says when they are due, and what was evicted.
-    pub(super) fn lend(&self, bytes: u64) -> Option<(Arc<AtomicBool>, Vec<Evicted>)> {
+    /// Lends bytes of the budget, if pages that are not retained make room. Returns what says when
+    /// they are due, and what was evicted.
+    pub(super) fn lend(&self, bytes: u64) -> (Option<Arc<AtomicBool>>, Vec<Evicted>) {
         let mut state = self.lock();
-        let due = state.budget.lend(bytes)?;
+        let Some(due) = state.budget.lend(bytes) else { return (None, Vec::new()) };
         let evicted = state.evict_excess(self.tick());
+        let fits = state.budget.excess().is_none();
+        if !fits {
+            state.budget.take_back(bytes, &due);
+        }
         drop(state);
         self.has_evicted(&evicted);
-        Some((due, evicted))
+        (fits.then_some(due), evicted)
     }
 
     /// Takes back bytes that were lent.

@@ -246,6 +246,11 @@ fn what_is_lent_counts_as_pages_do_is_a_small_part_and_is_due_where_the_budget_f
     drop(second);
     set.set_limits(Limits::total(64 * PAGE));
     assert!(client.lend(2 * PAGE).is_some() && client.lend(2 * PAGE + 1).is_none());
+    // Retained pages make no room.
+    let mut retained: Vec<_> = (0..64).map(|page| client.retain(&object, page).expect("room")).collect();
+    assert!(client.lend(PAGE).is_none());
+    retained.pop();
+    assert!(client.lend(PAGE).is_some());
 }
 
 fn hints_taken(client: &PageClient, object: &Arc<Object>) -> usize {

@@ -28,11 +28,18 @@ pub(in crate::trace) struct CloudMarch {
     rays: Option<LiveRays>,
 }
 
+/// Memory in which decoded runs are kept.
+enum Room {
+    NotAsked,
+    Lent(Loan),
+    None,
+}
+
 /// Scratch memory shared by all clouds of a thread.
 pub(in crate::trace) struct CloudScratch {
     batch: RunBatch,
-    /// The memory in which runs are kept, if the pages leave it.
-    room: Option<Loan>,
+    /// After the batch, whose memory is gone before the loan is given back.
+    room: Room,
     /// One for each set of channels used by any cloud.
     fields: Vec<FieldSamples>,
 }
@@ -47,23 +54,20 @@ impl CloudScratch {
     }
 
     pub(in crate::trace) fn new() -> Self {
-        Self { batch: RunBatch::default(), room: None, fields: Vec::new() }
+        Self { batch: RunBatch::default(), room: Room::NotAsked, fields: Vec::new() }
     }
 
     /// Borrows memory of the pages to keep decoded runs in, if there is much of it, or gives it
-    /// back. To be called for each packet.
+    /// back. To be called for each packet; it asks once.
     pub(in crate::trace) fn find_room(&mut self, access: Access<'_>) {
-        match &self.room {
-            Some(room) if room.is_due() => {
-                self.batch.set_room(false);
-                self.room = None;
-            }
-            Some(_) => {}
-            None => {
-                self.room = access.pages.lend(KEPT_BYTES as u64);
-                self.batch.set_room(self.room.is_some());
-            }
-        }
+        let lent = match &self.room {
+            Room::NotAsked => access.pages.lend(KEPT_BYTES as u64),
+            Room::Lent(loan) if loan.is_due() => None,
+            Room::Lent(_) | Room::None => return,
+        };
+        // Before the old loan goes.
+        self.batch.set_room(lent.is_some());
+        self.room = lent.map_or(Room::None, Room::Lent);
     }
 }
 
