@@ -27,10 +27,10 @@ pub(crate) fn succeeds(folder: &std::path::Path, arguments: &[&str]) -> String {
 }
 
 /// `--memory` of so many mebibytes. A program that opens remote objects takes two more by itself,
-/// though it opens none, and one that is not optimised three and a half.
+/// though it opens none, and one that is not optimised one and a half.
 pub(crate) fn mebibytes(memory: f64) -> (String, f64) {
     let remote = if cfg!(feature = "remote") { 2.0 } else { 0.0 };
-    let unoptimised = if cfg!(debug_assertions) { 3.5 } else { 0.0 };
+    let unoptimised = if cfg!(debug_assertions) { 1.5 } else { 0.0 };
     let memory = memory + remote + unoptimised;
     (format!("{memory}MiB"), memory * f64::from(1 << 20))
 }
