@@ -8,7 +8,7 @@ fi
 # Nothing is compiled twice, so nothing has to be kept for the next time.
 export CARGO_INCREMENTAL=0
 # Many tests wait, for servers that are silent and for processes that are killed: more run than there are cores. None may mind.
-export RUST_TEST_THREADS=$((2 * $(nproc)))
+export RUST_TEST_THREADS=$((4 * $(nproc)))
 begun=0 heading= table=()
 clock() { printf '%d:%02d' $(($1 / 60)) $(($1 % 60)); }
 close_gate() {

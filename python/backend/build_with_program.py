@@ -2,8 +2,9 @@
 
 A script that is a native program has no Python in its process, so that `--memory` bounds all of it; an entry point would start an
 interpreter first. The program and the extension module are targets of one package: what both are made of, the engine above all, is
-compiled once. The settings are those of `Cargo.toml`; what the environment says of Cargo's release profile comes first.
-`RAYSET_PROGRAM_FILE` names a program that has been built already.
+compiled once, into the program's own target folder unless CARGO_TARGET_DIR names another. Both are made in Cargo's profile `release`,
+or in the one that maturin is given: `pip install --config-settings=build-args="--profile dev" ./python`. `RAYSET_PROGRAM_FILE` names
+a program that has been built already.
 
 A build takes minutes, and pip hides what it prints unless it is called with `-v`. What is being done is therefore said on the
 terminal, too, if there is one.
@@ -58,7 +59,14 @@ def _compile(command: list, teller: _Teller) -> None:
         raise SystemExit(f"{' '.join(command)} failed; what it said is above, or shown by `pip install -v`")
 
 
-def _put_program(teller: _Teller) -> None:
+def _profile(config_settings) -> str:
+    """The profile of Cargo that maturin takes by the arguments that it is given."""
+    args = (config_settings or {}).get("build-args", "")
+    words = [word for arg in ([args] if isinstance(args, str) else args) for word in arg.replace("=", " ").split()]
+    return words[words.index("--profile") + 1] if "--profile" in words[:-1] else "release"
+
+
+def _put_program(teller: _Teller, profile: str) -> None:
     """Builds the program, and puts it where maturin takes it from."""
     target = os.environ.get("CARGO_BUILD_TARGET", "")
     name = "rayset.exe" if (os.name == "nt" if not target else "windows" in target) else "rayset"
@@ -68,10 +76,10 @@ def _put_program(teller: _Teller) -> None:
     if given:
         shutil.copy2(given, scripts / name)
         return
-    folder = Path(os.environ.setdefault("CARGO_TARGET_DIR", str(HERE / "target"))).resolve()
+    folder = Path(os.environ.setdefault("CARGO_TARGET_DIR", str(HERE.parent / "target"))).resolve()
     teller.say(f"compiling the engine and the program, with Cargo in {folder}: some minutes; what is there already is used again")
-    _compile(["cargo", "build", "--release", "--locked", "--bin", "rayset"], teller)
-    shutil.copy2(folder / target / "release" / name, scripts / name)
+    _compile(["cargo", "build", "--profile", profile, "--locked", "--bin", "rayset"], teller)
+    shutil.copy2(folder / target / ("debug" if profile == "dev" else profile) / name, scripts / name)
 
 
 def prepare_metadata_for_build_wheel(metadata_directory, config_settings=None):
@@ -84,7 +92,7 @@ prepare_metadata_for_build_editable = prepare_metadata_for_build_wheel
 
 def _build(build, wheel_directory, config_settings, metadata_directory):
     teller = _Teller()
-    _put_program(teller)
+    _put_program(teller, _profile(config_settings))
     teller.say("linking the extension module of the same engine")
     wheel = build(wheel_directory, config_settings, metadata_directory)
     teller.say("done")

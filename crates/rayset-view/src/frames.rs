@@ -17,7 +17,7 @@ use crate::compose::{self, Opened};
 use crate::pacing::Pacing;
 use crate::payload::{self, Depths, DisplayPicture, Rectangle};
 use crate::picking::clouds;
-use crate::protocol::{MOST_EDGE, Show, ToPage};
+use crate::protocol::{Changes, MOST_EDGE, Show, ToPage};
 use crate::wanted::{Grade, Order, PageWish};
 
 /// Finished parts of a picture are sent at most this often.
@@ -53,6 +53,8 @@ pub(crate) struct Frames {
     draft: Option<Prepared>,
     /// Told of what is shown, for those who ask about it.
     current: Current,
+    /// The changes whose legend the page was told last, and the remarks in it.
+    told: Option<(Changes, Vec<String>)>,
     pacing: Pacing,
     shown: DisplayPicture,
     depths: Depths,
@@ -128,8 +130,21 @@ impl Frames {
         send: Send,
     ) -> Self {
         let (pacing, shown, depths) = (Pacing::new(), DisplayPicture::default(), Depths::default());
-        let (prepared, draft) = (None, None);
-        Self { session, opened, most_pixels, wanted, send, prepared, draft, current, pacing, shown, depths }
+        let (prepared, draft, told) = (None, None, None);
+        Self {
+            session,
+            opened,
+            most_pixels,
+            wanted,
+            send,
+            prepared,
+            draft,
+            current,
+            told,
+            pacing,
+            shown,
+            depths,
+        }
     }
 
     /// Makes pictures until nobody looks any more.
@@ -164,6 +179,7 @@ impl Frames {
         let encode = prepared.file.display_transform.rgba8();
         let (scene, camera) = (prepared.scene.clone(), compose::camera(&show.camera));
         let looks_at_neighbours = prepared.looks_at_neighbours();
+        self.tell_legend(&show.changes, scene.remarks())?;
         match order.grade {
             Grade::Quick => {
                 let [width, height] = self.pacing.next_size(show.size);
@@ -190,7 +206,7 @@ impl Frames {
         // Once caps have been made, they stay where they are while it moves.
         if grade == Grade::Fine || show.changes.cap.is_some() && self.prepared.is_some() {
             if self.prepared.is_none() {
-                self.prepared = Some(self.at_rest(show, whole)?);
+                self.prepared = Some(self.at_rest(whole)?);
             }
             let prepared = self.prepared.as_ref().ok_or(Unfinished::GivenUp)?;
             self.current.set(Some(prepared.seen()));
@@ -202,7 +218,7 @@ impl Frames {
             // The one before makes room.
             self.current.set(None);
         }
-        let draft = known.map_or_else(|| self.prepare(show, draft, drafted), Ok)?;
+        let draft = known.map_or_else(|| self.prepare(draft, drafted), Ok)?;
         if self.prepared.is_none() {
             self.current.set(Some(draft.seen()));
         }
@@ -224,18 +240,17 @@ impl Frames {
 
     /// A scene to be seen at rest. If there is no memory for it besides the one that moves, that
     /// one is made again when it is needed.
-    fn at_rest(&mut self, show: &Show, composed: Value) -> Result<Prepared, Unfinished> {
-        let first = self.prepare(show, composed.clone(), |settings| settings);
+    fn at_rest(&mut self, composed: Value) -> Result<Prepared, Unfinished> {
+        let first = self.prepare(composed.clone(), |settings| settings);
         if matches!(first, Err(Unfinished::NoMemory(_))) && self.draft.take().is_some() {
             self.current.set(None);
-            return self.prepare(show, composed, |settings| settings);
+            return self.prepare(composed, |settings| settings);
         }
         first
     }
 
     fn prepare(
         &self,
-        show: &Show,
         composed: Value,
         adapted: impl Fn(RenderSettings) -> RenderSettings,
     ) -> Result<Prepared, Unfinished> {
@@ -244,9 +259,20 @@ impl Frames {
         // pixel.
         let scene = self.session.prepare(&file.scene, &adapted(file.settings).with_layers(true))?;
         self.pin_nodes();
-        let legend = self.opened.legend(&show.changes, scene.remarks()).map_err(Unfinished::Problem)?;
-        (self.send)(Outgoing::Text(ToPage::Styled(Box::new(legend))));
         Ok(Prepared { composed, scene, file: Arc::new(file) })
+    }
+
+    /// Tells the page what its changes show in which colours. Other changes may need no other
+    /// scene; the page waits for their legend all the same.
+    fn tell_legend(&mut self, changes: &Changes, remarks: &[String]) -> Result<(), Unfinished> {
+        let is_told = |(told, said): &(Changes, Vec<String>)| told == changes && said == remarks;
+        if self.told.as_ref().is_some_and(is_told) {
+            return Ok(());
+        }
+        let legend = self.opened.legend(changes, remarks).map_err(Unfinished::Problem)?;
+        (self.send)(Outgoing::Text(ToPage::Styled(Box::new(legend))));
+        self.told = Some((changes.clone(), remarks.to_vec()));
+        Ok(())
     }
 
     /// Keeps the coarse parts of octrees in memory, where they take little of it: a camera that

@@ -143,25 +143,6 @@ fn tests_turn_no_feature_on_in_what_is_shipped() {
     assert!(beyond.is_empty(), "{beyond:?}");
 }
 
-/// Two workspaces compile the engine: the program's, and the package's for Python. Pictures take as
-/// long in both.
-#[test]
-fn the_package_for_python_is_optimised_as_the_program() {
-    let release = |manifest: PathBuf| {
-        let text = std::fs::read_to_string(manifest).expect("a manifest");
-        let (_, profile) = text.split_once("[profile.release]\n").expect("a profile");
-        let profile = profile.split_once("\n\n").map_or(profile, |(profile, _)| profile);
-        profile.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect::<Vec<_>>()
-    };
-    let root = of_crate("").with_file_name("");
-    let program = release(root.join("Cargo.toml"));
-    let package = release(root.join("python").join("Cargo.toml"));
-    assert!(program.contains(&"package.rayset-render.codegen-units = 1".to_owned()), "{program:?}");
-    for line in program.iter().filter(|line| !line.contains("rayset-cli")) {
-        assert!(package.contains(line), "python/Cargo.toml, [profile.release]: no `{line}`");
-    }
-}
-
 /// They are compiled with the feature that opens the rest, for the sake of tests.
 #[test]
 fn examples_use_the_public_surface_alone() {
