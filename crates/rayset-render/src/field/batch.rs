@@ -17,8 +17,8 @@ use rayset_files::octree::page::Run;
 pub(super) const MOST_RUNS: usize = 8;
 
 /// The most bytes that a batch takes, of points with up to eight attributes, besides the runs that
-/// it keeps.
-pub const BATCH_BYTES: u64 = (MOST_RUNS * (size_of::<BatchedRun>() + DECODED_BYTES)) as u64;
+/// it keeps. One run more is there while it is found out whether it is part of the last.
+pub const BATCH_BYTES: u64 = ((MOST_RUNS + 1) * (size_of::<BatchedRun>() + DECODED_BYTES)) as u64;
 
 /// Up to 8 runs, in the order of the file. Their memory is kept from batch to batch; if there is
 /// [room](Self::set_room), runs are, too.
@@ -36,8 +36,10 @@ pub enum Appended {
     Decoded,
     /// It is in the batch, and had been decoded before.
     Known,
-    /// It is not in the batch: no sample may lie in it, or the batch is full.
+    /// It is not in the batch: no sample may lie in it.
     Nothing,
+    /// It is not in the batch, which is full.
+    NoRoom,
 }
 
 /// A run, with scratch memory for the packet.
@@ -56,7 +58,9 @@ pub(super) struct BatchedRun {
 
 impl RunBatch {
     /// Adds a run at the end, if any samples of a slab on the rays in `lanes` may lie in it. A run
-    /// with a key is kept for the next time.
+    /// with a key is kept for the next time. A run that is one point becomes part of the last, if
+    /// that is one in the same place: also in a full batch, so that sums do not depend on the runs
+    /// before.
     pub fn append(
         &mut self,
         (decoder, run, header): (&RunDecoder, &Run<'_>, &Header),
@@ -64,8 +68,9 @@ impl RunBatch {
         (packet, slab, lanes): (&Packet, Slab, u64),
         simd: SimdLevel,
     ) -> Appended {
-        if self.len == MOST_RUNS {
-            return Appended::Nothing;
+        let joins = self.may_join(decoder, run);
+        if self.len == MOST_RUNS && !joins {
+            return Appended::NoRoom;
         }
         if self.len == self.runs.len() {
             self.runs.push(Box::default());
@@ -83,12 +88,38 @@ impl RunBatch {
             }
             return Appended::Nothing;
         }
-        self.len += 1;
-        if is_known {
-            return Appended::Known;
+        if !is_known {
+            decoder.decode(run, header, step, simd, &mut item.run);
         }
-        decoder.decode(run, header, step, simd, &mut item.run);
-        Appended::Decoded
+        let appended = if is_known { Appended::Known } else { Appended::Decoded };
+        if joins && self.join_last_two() {
+            self.keep(self.len);
+            return appended;
+        }
+        if self.len == MOST_RUNS {
+            self.keep(self.len);
+            return Appended::NoRoom;
+        }
+        self.len += 1;
+        appended
+    }
+
+    /// Whether a run may be one point in the place of the last, by its bounds.
+    fn may_join(&self, decoder: &RunDecoder, run: &Run<'_>) -> bool {
+        let last = self.len.checked_sub(1).map(|last| &self.runs[last].run);
+        last.is_some_and(|last| last.len == 1 && decoder.is_at(run, last.center))
+    }
+
+    /// Makes the run behind the last part of the last, if both are one point. The last is not what
+    /// it is in its file any more.
+    fn join_last_two(&mut self) -> bool {
+        let (runs, added) = self.runs.split_at_mut(self.len);
+        let (Some(last), [added, ..]) = (runs.last_mut(), added) else { return false };
+        let is_one = last.run.join(&added.run);
+        if is_one {
+            last.key = None;
+        }
+        is_one
     }
 
     /// Says whether there are [`KEPT_BYTES`](super::KEPT_BYTES) of memory to keep runs in; without,
@@ -103,12 +134,6 @@ impl RunBatch {
         if let Some(key) = item.key {
             self.kept.keep(key, &mut item.run);
         }
-    }
-
-    /// Whether there is no room for another run.
-    #[must_use]
-    pub fn is_full(&self) -> bool {
-        self.len == MOST_RUNS
     }
 
     /// The runs.

@@ -10,6 +10,7 @@ pub mod kernel;
 mod lane_ray;
 mod packet;
 mod pairs;
+mod places;
 mod ray_columns;
 pub mod reference;
 mod run;

@@ -100,7 +100,7 @@ impl AttributeColumns {
 /// Decodes the runs of one cloud.
 #[derive(Clone, Debug)]
 pub struct RunDecoder {
-    root: RootCell,
+    pub(super) root: RootCell,
     radius: Option<f32>,
     weight: Option<f32>,
     /// 1/∫ω dV over the unit ball if kernels are normalised.
@@ -166,13 +166,20 @@ impl RunDecoder {
             radius_min = f64::from(f32::from_bits(least));
         }
         out.pad_last_chunk();
-        out.bound_chunks(simd);
+        let one_place = out.bound_chunks(simd);
         self.decode_weights(run, header, out);
         self.decode_attributes(run, header, out);
         out.radius_min = radius_min as f32 * 0.9999;
         out.least_radius = radius_min;
         let is_wide = is_wide(out.size, radius_min, step);
         out.set_wide(is_wide.then_some((run, self.root)));
+        // Points in one place follow each other: fifteen of them fill a chunk. Fewer cost little.
+        let whole = (1 << (n / CHUNK_POINTS)) - 1;
+        if one_place & whole != 0 && !is_wide && out.label.is_empty() {
+            out.merge_places();
+            out.pad_last_chunk();
+            out.bound_chunks(simd);
+        }
     }
 
     #[inline(always)]
@@ -296,8 +303,10 @@ impl DecodedRun {
         self.points.inverse_radius_squared[n..padded].fill(f32::INFINITY);
     }
 
+    /// Returns a bit for each chunk whose points are in one place.
     #[inline(always)]
-    fn bound_chunks<S: Simd>(&mut self, simd: S) {
+    fn bound_chunks<S: Simd>(&mut self, simd: S) -> u64 {
+        let mut one_place = 0;
         let chunks = self.len.div_ceil(CHUNK_POINTS);
         for group in 0..chunks.div_ceil(8) {
             let of_group = 8 * group..8 * group + 8;
@@ -315,10 +324,13 @@ impl DecodedRun {
                 }
             }
             let radius = fold::<S, true>(chunks_of(simd, &self.points.radius, group));
-            let reach = fold::<S, true>(distance_squared).sqrt() + radius;
+            let farthest = fold::<S, true>(distance_squared);
+            one_place |= farthest.simd_eq(0.0).to_bitmask() << (8 * group);
+            let reach = farthest.sqrt() + radius;
             (reach * reach * 1.0001).store_slice(&mut self.chunk_reach_squared[of_group]);
         }
         self.chunk_reach_squared[chunks..].fill(-1.0);
+        one_place
     }
 
     fn set_wide(&mut self, source: Option<(&Run<'_>, RootCell)>) {

@@ -2,8 +2,8 @@
 
 use rayset::field::reference::ReferenceField;
 use rayset::field::{
-    AttributeColumns, Channels, FieldSamples, Kernel, Packet, RunBatch, RunDecoder, SLAB_SAMPLES, SimdLevel,
-    Slab, SplatCounts, Splatter,
+    Appended, AttributeColumns, Channels, FieldSamples, Kernel, Packet, RunBatch, RunDecoder, SLAB_SAMPLES,
+    SimdLevel, Slab, SplatCounts, Splatter,
 };
 use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
@@ -55,10 +55,13 @@ fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
         let mut batch = RunBatch::default();
         cloud
             .for_each_run(|_, raw| {
-                if batch.is_full() {
+                let append = |batch: &mut RunBatch| {
+                    batch.append((&decoder, &raw, header), None, (&packet, slab, packet.all()), simd)
+                };
+                if append(&mut batch) == Appended::NoRoom {
                     counts += splatter.splat(&mut batch, &packet, slab, packet.all(), None, &mut samples);
+                    append(&mut batch);
                 }
-                batch.append((&decoder, &raw, header), None, (&packet, slab, packet.all()), simd);
             })
             .expect("the cloud reads");
         counts += splatter.splat(&mut batch, &packet, slab, packet.all(), None, &mut samples);
@@ -107,6 +110,37 @@ fn density_and_normals_are_right_for_every_kernel_and_instruction_set() {
         for simd in SimdLevel::available() {
             check_field(&cloud, 1.0, kernel, simd);
         }
+    }
+}
+
+/// Points of which many are in one place, each with a weight and colours of its own: some places
+/// are those of whole runs.
+fn points_in_few_places(places: usize, most: f64) -> rayset::points::ArraySource {
+    let mut random = Random(31);
+    let (mut position, mut columns) = (Vec::new(), vec![Vec::new(); 5]);
+    for _ in 0..places {
+        let p: [f64; 3] = std::array::from_fn(|_| 2.0 * random.unit() - 1.0);
+        let radii = [0.3, 0.25].map(|most| (most * 2_f64.powf(-random.unit())) as f32);
+        for _ in 0..most.powf(random.unit()) as usize {
+            position.push(p);
+            columns[0].push(radii[usize::from(random.unit() < 0.05)]);
+            // A few are negative, and counted one by one.
+            columns[1].push((random.unit() - 0.02) as f32);
+            columns[2..].iter_mut().for_each(|column| column.push(random.unit() as f32));
+        }
+    }
+    let names = ["radius", "weight", "red", "green", "blue"];
+    rayset::points::ArraySource::new(position, names.into_iter().zip(columns).collect())
+}
+
+#[test]
+fn many_points_in_one_place_have_the_sum_of_their_densities_and_the_mean_of_their_colours() {
+    let folder = folder();
+    let source = points_in_few_places(60, 2000.0);
+    let cloud = build_at(&folder.path().join("c.rset"), Box::new(source), &BuildOptions::default());
+    assert!(cloud.header().points > 10_000);
+    for simd in SimdLevel::available() {
+        check_field(&cloud, 1.0, Kernel::Wyvill, simd);
     }
 }
 

@@ -145,6 +145,12 @@ impl LiveRays {
         self.going.samples_in(packet, bounds)
     }
 
+    /// Whether samples of live rays in a slab may lie in a box.
+    pub(super) fn reach(&self, packet: &Packet, bounds: &Aabb, slab: Slab) -> bool {
+        let samples = self.samples_in(packet, bounds);
+        samples.is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
+    }
+
     /// The same rays, tested individually.
     pub(super) fn ray_by_ray(&self) -> RaySet {
         self.going.ray_by_ray()

@@ -217,19 +217,19 @@ impl CloudMarch {
                 }
                 for index in usize::from(first)..usize::from(end) {
                     // A single run has been examined before.
-                    let reaches = end - first == 1 || {
-                        let samples = rays.samples_in(&self.packet, &run_bounds(cloud, &points, index));
-                        samples.is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
-                    };
-                    if reaches {
-                        if batch.is_full() {
-                            counts.splats += splatter.splat(batch, &self.packet, slab, lanes, None, field);
-                        }
-                        let of = (&shading.decoder, &points.run(index), cloud.header());
-                        let key = Some(RunKey { cloud: shading.number(), page, number: index as u16 });
-                        let appended = batch.append(of, key, (&self.packet, slab, lanes), splatter.simd);
-                        counts.runs += u64::from(appended == Appended::Decoded);
+                    if end - first > 1 && !rays.reach(&self.packet, &run_bounds(cloud, &points, index), slab)
+                    {
+                        continue;
                     }
+                    let of = (&shading.decoder, &points.run(index), cloud.header());
+                    let key = Some(RunKey { cloud: shading.number(), page, number: index as u16 });
+                    let on = (&self.packet, slab, lanes);
+                    let mut appended = batch.append(of, key, on, splatter.simd);
+                    if appended == Appended::NoRoom {
+                        counts.splats += splatter.splat(batch, &self.packet, slab, lanes, None, field);
+                        appended = batch.append(of, key, on, splatter.simd);
+                    }
+                    counts.runs += u64::from(appended == Appended::Decoded);
                 }
                 at += 1;
             }

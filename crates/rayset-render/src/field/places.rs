@@ -1,0 +1,95 @@
+//! Points in one place, which are one point to the inner loop: a scanner that stands still stores a
+//! place a thousand times.
+
+use std::ops::Range;
+
+use super::columns::PointColumns;
+use super::run::{DecodedRun, RunDecoder};
+use rayset_base::geometry::DVec3;
+use rayset_files::octree::layout::RUN_POINTS;
+use rayset_files::octree::page::Run;
+
+impl RunDecoder {
+    /// Whether all points of a run are in one place.
+    pub(super) fn is_at(&self, run: &Run<'_>, place: DVec3) -> bool {
+        let bounds = run.head.position_bounds(self.root);
+        bounds.min == place && bounds.max == place
+    }
+}
+
+impl DecodedRun {
+    /// Makes one point of points with one place, one radius and weights above zero: their density
+    /// is one kernel's with the sum of their weights, and their attributes are averaged by weight,
+    /// as those of samples are. Not for points with labels, which are not averaged: each counts by
+    /// itself.
+    #[cold]
+    pub(super) fn merge_places(&mut self) {
+        let same = self.points.same_as_before();
+        let (mut len, mut first) = (0, 0);
+        while first < self.len {
+            let others = same[first + 1..self.len].iter().take_while(|&&same| same).count();
+            self.merge_into(len, first..first + 1 + others);
+            (len, first) = (len + 1, first + 1 + others);
+        }
+        self.len = len;
+    }
+
+    /// Point `to`, of which nothing is needed any more, becomes the points of a stretch.
+    fn merge_into(&mut self, to: usize, stretch: Range<usize>) {
+        let points = &mut self.points;
+        for column in points.position.iter_mut().chain([&mut points.radius, &mut points.inverse_radius]) {
+            column[to] = column[stretch.start];
+        }
+        let weights = &points.weight[stretch.clone()];
+        let sum = weights.iter().sum::<f32>();
+        for column in &mut self.attribute {
+            let values = column[stretch.clone()].iter();
+            column[to] = match weights {
+                [_] => column[stretch.start],
+                _ => values.zip(weights).map(|(value, weight)| value * weight).sum::<f32>() / sum,
+            };
+        }
+        points.weight[to] = sum;
+    }
+
+    /// Merges the only point of another run with the only point of this one, in the same way.
+    /// Returns whether it has become part of it.
+    pub(super) fn join(&mut self, other: &Self) -> bool {
+        let is_one_point = |run: &Self| run.len == 1 && run.label.is_empty() && run.wide.is_none();
+        let is_one = [&*self, other].into_iter().all(is_one_point)
+            && self.center == other.center
+            && self.points.radius[0] == other.points.radius[0]
+            && may_merge(self.points.weight[0], other.points.weight[0]);
+        if !is_one {
+            return false;
+        }
+        let added = other.points.weight[0];
+        self.points.weight[0] += added;
+        let part = added / self.points.weight[0];
+        for (column, other) in self.attribute.iter_mut().zip(&other.attribute) {
+            column[0] += (other[0] - column[0]) * part;
+        }
+        true
+    }
+}
+
+impl PointColumns {
+    /// For each point whether it may be merged with the one before.
+    fn same_as_before(&self) -> [bool; RUN_POINTS] {
+        let mut same = [true; RUN_POINTS];
+        for column in self.position.iter().chain([&self.radius]) {
+            for i in 1..RUN_POINTS {
+                same[i] &= column[i] == column[i - 1];
+            }
+        }
+        for i in 1..RUN_POINTS {
+            same[i] &= may_merge(self.weight[i], self.weight[i - 1]);
+        }
+        same
+    }
+}
+
+/// Whether a mean by these weights is one of values between the others.
+fn may_merge(a: f32, b: f32) -> bool {
+    a > 0.0 && b > 0.0
+}
