@@ -107,7 +107,7 @@ impl RunBatch {
     /// Whether a run may be one point in the place of the last, by its bounds.
     fn may_join(&self, decoder: &RunDecoder, run: &Run<'_>) -> bool {
         let last = self.len.checked_sub(1).map(|last| &self.runs[last].run);
-        last.is_some_and(|last| last.len == 1 && decoder.is_at(run, last.center))
+        last.is_some_and(|last| decoder.may_join(run, last))
     }
 
     /// Makes the run behind the last part of the last, if both are one point. The last is not what

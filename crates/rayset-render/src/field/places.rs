@@ -5,15 +5,17 @@ use std::ops::Range;
 
 use super::columns::PointColumns;
 use super::run::{DecodedRun, RunDecoder};
-use rayset_base::geometry::DVec3;
 use rayset_files::octree::layout::RUN_POINTS;
 use rayset_files::octree::page::Run;
 
 impl RunDecoder {
-    /// Whether all points of a run are in one place.
-    pub(super) fn is_at(&self, run: &Run<'_>, place: DVec3) -> bool {
-        let bounds = run.head.position_bounds(self.root);
-        bounds.min == place && bounds.max == place
+    /// Whether a run may be in the place of another, which is one point: two runs of one place have
+    /// the same bounds.
+    pub(super) fn may_join(&self, run: &Run<'_>, other: &DecodedRun) -> bool {
+        other.len == 1 && {
+            let bounds = run.head.position_bounds(self.root);
+            bounds.center() == other.center && bounds.size().max_element() == other.size.0
+        }
     }
 }
 
@@ -58,6 +60,12 @@ impl DecodedRun {
         let is_one_point = |run: &Self| run.len == 1 && run.label.is_empty() && run.wide.is_none();
         let is_one = [&*self, other].into_iter().all(is_one_point)
             && self.center == other.center
+            && self
+                .points
+                .position
+                .iter()
+                .zip(&other.points.position)
+                .all(|(axis, other)| axis[0] == other[0])
             && self.points.radius[0] == other.points.radius[0]
             && may_merge(self.points.weight[0], other.points.weight[0]);
         if !is_one {

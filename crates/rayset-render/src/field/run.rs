@@ -39,7 +39,7 @@ pub struct DecodedRun {
     /// single precision need not hold then.
     pub(super) may_be_wide: bool,
     /// The longest edge of the bounds of the positions, and the largest radius.
-    size: (f64, f64),
+    pub(super) size: (f64, f64),
     /// The least radius.
     least_radius: f64,
     /// No more than the radius of any point.

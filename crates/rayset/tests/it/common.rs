@@ -168,3 +168,24 @@ pub(crate) fn plain_picture(scene: &Scene, settings: &RenderSettings) -> Vec<[f3
 pub(crate) fn bits(pixels: &[[f32; 4]]) -> Vec<[u32; 4]> {
     pixels.iter().map(|p| p.map(f32::to_bits)).collect()
 }
+
+/// Points of which many are in one place, each with a weight and colours of its own: some places
+/// are those of whole runs.
+pub(crate) fn points_in_few_places(places: usize, most: f64) -> ArraySource {
+    let mut random = Random(31);
+    let (mut position, mut columns) = (Vec::new(), vec![Vec::new(); 5]);
+    for place in 0..places {
+        let p: [f64; 3] = std::array::from_fn(|_| 2.0 * random.unit() - 1.0);
+        let radii = [0.3, 0.25].map(|most| (most * 2_f64.powf(-random.unit())) as f32);
+        for _ in 0..most.powf(random.unit()) as usize {
+            position.push(p);
+            columns[0].push(radii[usize::from(random.unit() < 0.05)]);
+            // Of every other place a few are negative, and counted one by one.
+            let least = if place % 2 == 0 { 0.01 } else { -0.02 };
+            columns[1].push((random.unit() + least) as f32);
+            columns[2..].iter_mut().for_each(|column| column.push(random.unit() as f32));
+        }
+    }
+    let names = ["radius", "weight", "red", "green", "blue"];
+    ArraySource::new(position, names.into_iter().zip(columns).collect())
+}

@@ -12,8 +12,8 @@ use rayset::scene::{ColorMap, ColorRule, OpacityRule, RenderSettings, Scene, Ste
 use rayset::trace::reference::ReferenceRenderer;
 
 use crate::common::{
-    Random, build_at, camera, folder, look, mixed_points, plain_picture, scene, scene_of, settings,
-    workload_cloud,
+    Random, build_at, camera, folder, look, mixed_points, plain_picture, points_in_few_places, scene,
+    scene_of, settings, workload_cloud,
 };
 
 /// Largest density error allowed, in units of the largest density.
@@ -111,26 +111,6 @@ fn density_and_normals_are_right_for_every_kernel_and_instruction_set() {
             check_field(&cloud, 1.0, kernel, simd);
         }
     }
-}
-
-/// Points of which many are in one place, each with a weight and colours of its own: some places
-/// are those of whole runs.
-fn points_in_few_places(places: usize, most: f64) -> rayset::points::ArraySource {
-    let mut random = Random(31);
-    let (mut position, mut columns) = (Vec::new(), vec![Vec::new(); 5]);
-    for _ in 0..places {
-        let p: [f64; 3] = std::array::from_fn(|_| 2.0 * random.unit() - 1.0);
-        let radii = [0.3, 0.25].map(|most| (most * 2_f64.powf(-random.unit())) as f32);
-        for _ in 0..most.powf(random.unit()) as usize {
-            position.push(p);
-            columns[0].push(radii[usize::from(random.unit() < 0.05)]);
-            // A few are negative, and counted one by one.
-            columns[1].push((random.unit() - 0.02) as f32);
-            columns[2..].iter_mut().for_each(|column| column.push(random.unit() as f32));
-        }
-    }
-    let names = ["radius", "weight", "red", "green", "blue"];
-    rayset::points::ArraySource::new(position, names.into_iter().zip(columns).collect())
 }
 
 #[test]

@@ -17,25 +17,27 @@ use rayset::working_set::read::{self, BackendKind, Delayed, Transport};
 
 use crate::common::{
     bits, build_at, camera, clouds_of, folder, mixed_points, paged, paged_with, picture, plain_picture,
-    scene, settings, workload_cloud,
+    points_in_few_places, scene, settings, workload_cloud,
 };
 
 fn exec(threads: usize) -> ExecSettings {
     ExecSettings { threads, ..ExecSettings::default() }
 }
 
-/// A small sphere, and a cloud of many radii under a headlight with hashed phases.
+/// A small sphere, and under a headlight with hashed phases a cloud of many radii and one of few
+/// places.
 fn scenes(folder: &std::path::Path) -> Vec<(Scene, RenderSettings)> {
     let sphere = workload_cloud("sphere-40k", folder);
     let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };
     let mixed = build_at(&folder.join("mixed.rset"), Box::new(mixed_points(20_000, 6.0, 11)), &options);
+    let few = points_in_few_places(60, 2000.0);
+    let few = build_at(&folder.join("few.rset"), Box::new(few), &options);
     let plain = settings(48, 40);
+    let hashed = RenderSettings { sample_offset: SampleOffset::Hashed, ..plain };
     vec![
         (scene(&sphere, Kernel::Triweight, false), plain),
-        (
-            scene(&mixed, Kernel::Wyvill, true),
-            RenderSettings { sample_offset: SampleOffset::Hashed, ..plain },
-        ),
+        (scene(&mixed, Kernel::Wyvill, true), hashed),
+        (scene(&few, Kernel::Wyvill, true), hashed),
     ]
 }
 
