@@ -12,6 +12,7 @@ use std::ffi::OsStr;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::destination::{Destination, is_same};
 use crate::storage::{address, address_of};
@@ -84,6 +85,8 @@ pub fn create_unique(
     #[cfg(not(unix))]
     let _ = access;
     loop {
+        // Held until the file is locked: whoever ends this process finds it, or it is not created.
+        let ending = wait_if_ending();
         let path = folder.join(format!("{prefix}{process}-{number}"));
         number = number.wrapping_add(1);
         let file = match options.open(&path) {
@@ -93,12 +96,31 @@ pub fn create_unique(
         match hold(&file, &path) {
             Ok(true) => return Ok((file, path)),
             // Another process removed it as a leftover before it was locked.
-            Ok(false) => {}
+            Ok(false) => drop(ending),
             Err(error) => {
                 let _ = std::fs::remove_file(&path);
                 return Err(error);
             }
         }
+    }
+}
+
+/// Whether this process is being ended: its files are removed, and no further ones are created.
+static IS_ENDING: Mutex<bool> = Mutex::new(false);
+
+fn is_ending() -> MutexGuard<'static, bool> {
+    IS_ENDING.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Never returns once the process is being ended, which is not begun while the guard is held.
+fn wait_if_ending() -> MutexGuard<'static, bool> {
+    loop {
+        let ending = is_ending();
+        if !*ending {
+            return ending;
+        }
+        drop(ending);
+        std::thread::park();
     }
 }
 
@@ -172,9 +194,11 @@ pub fn remove_partials(folder: &Path, known: impl Fn(&str) -> bool) {
 
 impl Destination {
     /// Removes the files that this process is currently writing for this destination, although they
-    /// are locked: for a process that is about to be ended by a signal. `temp_dir` is the folder of
-    /// the temporary files, if they are not beside the output.
+    /// are locked: for a process that is about to be ended by a signal. From then on the process
+    /// creates no further ones, for any destination: a thread that would waits for the end of the
+    /// process. `temp_dir` is the folder of the temporary files, if they are not beside the output.
     pub fn remove_own_partials(&self, temp_dir: Option<&Path>) {
+        *is_ending() = true;
         if self.is_stream() {
             return;
         }
