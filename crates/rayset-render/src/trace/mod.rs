@@ -20,6 +20,7 @@ mod grid;
 mod inside;
 mod interior;
 mod job;
+mod knots;
 mod layers;
 mod march;
 mod march_bytes;

@@ -2,13 +2,12 @@
 
 use std::sync::Arc;
 
+use super::knots::{Curve, Knots, least_value};
 use super::node_samples::{NodeSamples, each_lane};
 use crate::field::{SLAB_SAMPLES, linear_from_srgb};
-use crate::scene::{Channel, ColorMap, MAX_OPACITY, Transfer, curve_at};
+use crate::scene::{Channel, ColorMap, MAX_OPACITY, Transfer};
 use rayset_base::bytes::list_bytes;
 
-/// Places of a colour map's index: several times the number of knots of a named palette.
-const PLACES: usize = 1024;
 /// Knots for each unit by which a channel changes between two stops: linear interpolation between
 /// knots, in linear light, is within 2e-5 of linear interpolation between the stops in
 /// display-encoded values.
@@ -20,17 +19,11 @@ const MOST_KNOTS: usize = 1 << 18;
 /// are its stops and some places in between. The two knots around a value are found exactly,
 /// however close together they are.
 pub(super) struct ColorTable {
-    /// For each knot, the least value that is not before it. Ascending.
-    from: Vec<f32>,
-    knots: Vec<Knot>,
-    /// For each place of the range, the first knot that is not before it; and one final entry.
-    index: Vec<u32>,
+    colors: Vec<Knot>,
+    /// Where they begin.
+    knots: Knots,
     /// −1 if the range descends: values are then negated; otherwise 1.
     sign: f32,
-    low: f32,
-    places_per_value: f32,
-    /// Whether no place of the index holds more than one knot.
-    is_even: bool,
 }
 
 /// From here the colour changes linearly to that of the next knot.
@@ -50,7 +43,7 @@ impl ColorTable {
         let (low, high) = (low * sign, high * sign);
         let stops = subdivided(&map.palette.stops());
         let value_at = |at: f64| low + at * (high - low);
-        let knots: Vec<Knot> = (stops.iter().enumerate())
+        let colors: Vec<Knot> = (stops.iter().enumerate())
             .map(|(i, &(at, color))| {
                 let (next, to) = stops.get(i + 1).copied().unwrap_or((at, color));
                 let change = std::array::from_fn(|c| (to[c] - color[c]) as f32);
@@ -65,42 +58,14 @@ impl ColorTable {
         // stops, the last applies.
         let least = |at: f64| if at > 0.0 { least_value(at, place) } else { f32::NEG_INFINITY };
         let from: Vec<f32> = stops.iter().map(|&(at, _)| least(at)).collect();
-        let places_per_value = (PLACES as f64 / (high - low)) as f32;
-        let mut table = Self {
-            from,
-            knots,
-            index: Vec::new(),
-            sign: sign as f32,
-            low: low as f32,
-            places_per_value,
-            is_even: false,
-        };
-        let mut knot = 0;
-        table.index = (0..=PLACES)
-            .map(|number| {
-                while table.from.get(knot).is_some_and(|&from| table.place(from) < number as u32) {
-                    knot += 1;
-                }
-                knot as u32
-            })
-            .collect();
-        table.index.push(table.from.len() as u32);
-        table.is_even = table.index.windows(2).all(|pair| pair[1] - pair[0] <= 1);
-        table
+        Self { colors, knots: Knots::new(from, low, high), sign: sign as f32 }
     }
 
     /// Bytes of its lists, and of the stops with colours that it is made from, whose list doubles
     /// as it grows.
     pub(super) fn bytes(&self) -> usize {
-        let made_from = 2 * self.knots.len() * size_of::<(f64, [f64; 3])>();
-        made_from + list_bytes(&self.knots) + list_bytes(&self.from) + list_bytes(&self.index)
-    }
-
-    /// The place of the index that a value belongs to; never descends as values ascend.
-    #[inline(always)]
-    fn place(&self, value: f32) -> u32 {
-        // NaN becomes 0.
-        ((value - self.low) * self.places_per_value).max(0.0).min(PLACES as f32) as i32 as u32
+        let made_from = 2 * self.colors.len() * size_of::<(f64, [f64; 3])>();
+        made_from + list_bytes(&self.colors) + self.knots.bytes()
     }
 
     /// The colour of a value, linear light.
@@ -108,30 +73,12 @@ impl ColorTable {
     pub(super) fn color(&self, value: f32) -> [f32; 3] {
         // NaN counts as before the range.
         let value = (value * self.sign).max(f32::NEG_INFINITY);
-        let Some(knot) = self.knots.get(self.knot(value)) else { return [0.0; 3] };
+        let Some(knot) = self.colors.get(self.knots.not_above(value).max(1) - 1) else { return [0.0; 3] };
         let along = (f64::from(value) - knot.start) * knot.per_value;
         // Before the first knot, the colour of that knot.
         let along = if along > 0.0 { along.min(1.0) as f32 } else { 0.0 };
         let (color, change) = (knot.color, knot.change);
         [color[0] + change[0] * along, color[1] + change[1] * along, color[2] + change[2] * along]
-    }
-
-    /// The last knot that is not above a value, or the first of all.
-    #[inline(always)]
-    fn knot(&self, value: f32) -> usize {
-        let place = self.place(value) as usize;
-        let (mut first, mut end) = (self.index[place] as usize, self.index[place + 1] as usize);
-        if self.is_even {
-            // Without a branch, which nothing could foresee.
-            let next = self.from.get(first).copied().unwrap_or(f32::INFINITY);
-            return (first + usize::from(next <= value && first < end)).max(1) - 1;
-        }
-        // Knots before `first` are not above the value; those from `end` on are.
-        while first < end {
-            let middle = (first + end) / 2;
-            if self.from[middle] <= value { first = middle + 1 } else { end = middle }
-        }
-        first.max(1) - 1
     }
 }
 
@@ -159,21 +106,8 @@ fn pieces(stops: usize, (a, from): (f64, [f64; 3]), (b, to): (f64, [f64; 3])) ->
     if b > a { (change * KNOTS_PER_UNIT).ceil().clamp(1.0, most) as usize } else { 1 }
 }
 
-/// The least value whose place is at least `at`, for places that never descend as values ascend.
-fn least_value(at: f64, place: impl Fn(f32) -> f64) -> f32 {
-    // Floating-point numbers in ascending order: negative ones from the largest bit pattern to the
-    // smallest, then the others.
-    let number = |order: u32| f32::from_bits(if order >> 31 == 1 { order & 0x7fff_ffff } else { !order });
-    let (mut low, mut high) = (0x007f_ffff_u32, 0xff80_0000_u32);
-    while low < high {
-        let middle = low + (high - low) / 2;
-        if place(number(middle)) >= at { high = middle } else { low = middle + 1 }
-    }
-    number(low)
-}
-
 enum Output {
-    Opacity(Vec<(f64, f64)>),
+    Opacity(Curve),
     Color(ColorTable),
 }
 
@@ -213,7 +147,7 @@ impl CompiledTransfer {
     /// For a program whose attributes have these names, in alphabetical order.
     pub(super) fn new(transfer: &Transfer, names: &[Arc<str>]) -> Self {
         let (input, output) = match transfer {
-            Transfer::Opacity { input, curve } => (input, Output::Opacity(curve.clone())),
+            Transfer::Opacity { input, curve } => (input, Output::Opacity(Curve::new(curve))),
             Transfer::Color { input, map } => (input, Output::Color(ColorTable::new(map))),
         };
         Self { input: Input::new(input, names), output }
@@ -222,7 +156,7 @@ impl CompiledTransfer {
     /// Bytes that it takes besides its place in a list.
     pub(super) fn bytes(&self) -> usize {
         match &self.output {
-            Output::Opacity(curve) => list_bytes(curve),
+            Output::Opacity(curve) => curve.bytes(),
             Output::Color(table) => table.bytes(),
         }
     }
@@ -246,7 +180,7 @@ impl CompiledTransfer {
                 };
                 match &self.output {
                     Output::Opacity(curve) => {
-                        block.opacity[lane].0[j] = curve_at(curve, f64::from(value)).min(MAX_OPACITY) as f32;
+                        block.opacity[lane].0[j] = curve.at(value).min(MAX_OPACITY) as f32;
                     }
                     Output::Color(table) if wants_color => {
                         for (rows, v) in block.color.iter_mut().zip(table.color(value)) {
@@ -275,6 +209,21 @@ mod tests {
             (0..3).map(|c| (f64::from(found[c]) - exact[c]).abs()).fold(0.0, f64::max)
         };
         values.map(error).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn logarithmic_maps_are_as_they_are_defined_and_have_few_knots_in_a_place() {
+        for (low, high) in [(1e-10, 1e-3), (2.5, 3e6), (1e-38, 1e38)] {
+            let colors = (0..256).map(|i| [f64::from(i) / 255.0, f64::from(i * i % 256) / 255.0, 0.3]);
+            let at = |i: usize| (f64::powf(high / low, i as f64 / 255.0) - 1.0) / (high / low - 1.0);
+            let stops = colors.enumerate().map(|(i, color)| (at(i), color));
+            let map = ColorMap { palette: Palette::Stops(stops.collect()), range: (low, high) };
+            let values = (-100..100_100).map(|i| low as f32 * (high / low).powf(f64::from(i) / 1e5) as f32);
+            assert!(worst(&map, values) < 3e-5, "{low} to {high}");
+            let table = ColorTable::new(&map);
+            let most = table.knots.most_in_place();
+            assert!(most < 128, "{low} to {high}: {most} of {}", table.colors.len());
+        }
     }
 
     #[test]

@@ -8,6 +8,7 @@ use crate::field::{
     SimdLevel, dispatch,
 };
 use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule};
+use crate::trace::knots::Curve;
 use crate::trace::math::{absorbed, ln};
 use crate::trace::node_samples::{
     MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, each_lane, normalize, numbers,
@@ -47,6 +48,8 @@ pub(in crate::trace) struct CloudShading {
     pub(in crate::trace) kernel: Kernel,
     pub(in crate::trace) normalised: bool,
     pub(in crate::trace) opacity: OpacityRule,
+    /// The curve of the opacity, if it is one.
+    curve: Option<Curve>,
     pub(in crate::trace) unit_distance: f64,
     pub(in crate::trace) material: [f32; MATERIAL],
     pub(in crate::trace) decoder: RunDecoder,
@@ -73,7 +76,8 @@ impl CloudShading {
     pub(super) fn bytes(&self) -> usize {
         let color = if let Color::Map { table, .. } = &self.color { table.bytes() } else { 0 };
         let columns = self.columns.bytes() + list_bytes(&self.named);
-        self.opacity.bytes() + color + self.decoder.bytes() + columns
+        let curve = self.curve.as_ref().map_or(0, Curve::bytes);
+        self.opacity.bytes() + curve + color + self.decoder.bytes() + columns
     }
 
     /// Shading for an object at a position in the world. Until [`carry`](Self::carry) is called,
@@ -99,6 +103,10 @@ impl CloudShading {
             kernel: object.kernel,
             normalised: object.normalised,
             opacity: object.transfer.opacity.clone(),
+            curve: match &object.transfer.opacity {
+                OpacityRule::Curve(points) => Some(Curve::new(points)),
+                OpacityRule::Clamp | OpacityRule::Extinction(_) => None,
+            },
             unit_distance,
             material,
             decoder: RunDecoder::new(header, object.kernel, object.normalised, AttributeColumns::default()),
@@ -212,8 +220,9 @@ impl CloudShading {
                 dispatch!(simd.level(), _simd => optical_depth_of_opacity(lanes, rows));
             }
             (OpacityRule::Curve(_), _) => {
-                let curve = |d| self.opacity.opacity(f64::from(d), self.unit_distance) as f32;
-                each_lane(lanes, |lane| rows[lane] = SampleRow(density[lane].0.map(curve)));
+                let Some(curve) = &self.curve else { return };
+                let opacity = |d: f32| if d > 0.0 { curve.at(d).min(MAX_OPACITY) as f32 } else { 0.0 };
+                each_lane(lanes, |lane| rows[lane] = SampleRow(density[lane].0.map(opacity)));
                 if measure == Measure::OpticalDepth {
                     dispatch!(simd.level(), _simd => optical_depth_of_opacity(lanes, rows));
                 }
