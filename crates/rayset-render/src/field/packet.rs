@@ -1,8 +1,9 @@
 //! Packets of rays and the samples on them.
 //!
-//! The samples of a ray lie on a lattice t = (j + offset)·δ, j = 0, 1, …. The offset is the ray's
-//! own; δ is the same for all rays of a packet. The result at a sample depends only on its ray and
-//! its sample number.
+//! The samples of a ray lie on lattices t = (j + offset)·δ·2^level, j = 0, 1, …. The offset is the
+//! ray's own; δ, the length of a *tick*, is the same for all rays of a packet. Which level they
+//! have differs from place to place. The result at a sample depends only on its ray, its level and
+//! its number.
 //!
 //! A packet is in world space, or in the local space of a transformed object. There the step has a
 //! different length on every ray, but a sample number denotes the same position.
@@ -19,9 +20,8 @@ pub const BLOCK_SAMPLES: usize = 8;
 /// Blocks of samples in a slab.
 pub(super) const BLOCKS: usize = SLAB_SAMPLES / BLOCK_SAMPLES;
 
-/// Upper bound of sample numbers: beyond it, the distances of samples would not be distinct
-/// numbers.
-const MOST_SAMPLES: f64 = (1_u64 << 52) as f64;
+/// Upper bound of ticks: beyond it, the distances of samples would not be distinct numbers.
+const MOST_TICKS: f64 = (1_u64 << 52) as f64;
 
 /// Up to 64 rays, stored by columns.
 #[derive(Clone, Debug)]
@@ -44,12 +44,15 @@ pub struct Packet {
     pub(super) inverse_direction: [[f32; LANES]; 3],
     rays: usize,
     step_world: f64,
+    tick_world: f64,
     least_step: f64,
+    /// The step is 2^level ticks long.
+    level: u32,
 }
 
 impl Packet {
-    /// A packet of up to 64 rays, each with its sample offset in steps, that share the step
-    /// `step_world`.
+    /// A packet of up to 64 rays, each with its sample offset in steps, with ticks of the length
+    /// `step_world`, at level 0.
     ///
     /// Panics if there are no rays or more than 64.
     #[must_use]
@@ -68,7 +71,9 @@ impl Packet {
             inverse_direction: [[0.0; LANES]; 3],
             rays: rays.len(),
             step_world,
+            tick_world: step_world,
             least_step: step_world,
+            level: 0,
         };
         for lane in 0..LANES {
             // Unused lanes repeat the last ray; their results are ignored.
@@ -108,6 +113,24 @@ impl Packet {
             local.per_block[lane] = per_block(local.step[lane]);
         }
         local
+    }
+
+    /// Goes to another level, at which a step is 2^`level` ticks long. Powers of two are exact: the
+    /// packet is then what a packet of that step would be, bit for bit.
+    pub fn set_level(&mut self, level: u32) {
+        if level == self.level {
+            return;
+        }
+        let factor = 2_f64.powi(level as i32 - self.level as i32);
+        self.level = level;
+        self.step_world *= factor;
+        self.least_step *= factor;
+        for lane in 0..LANES {
+            self.step[lane] *= factor;
+            self.step_f32[lane] = self.step[lane] as f32;
+            self.per_step[lane] = 1.0 / self.step[lane];
+            self.per_block[lane] = per_block(self.step[lane]);
+        }
     }
 
     /// A ray in the packet's space.
@@ -188,23 +211,30 @@ impl Packet {
         beam
     }
 
-    /// The smallest and the largest distance between samples of the rays of a mask, in the packet's
-    /// space.
+    /// Length of a tick, world space.
     #[must_use]
-    pub fn step_range(&self, lanes: u64) -> (f64, f64) {
-        let steps = (0..LANES).filter(|lane| lanes >> lane & 1 == 1).map(|lane| self.step[lane]);
-        steps.fold((f64::INFINITY, 0.0), |(least, most), step| (least.min(step), most.max(step)))
+    pub fn tick_world(&self) -> f64 {
+        self.tick_world
     }
 
-    /// The sample numbers that may lie in a box on any ray of a beam of this packet: an inclusive,
-    /// conservative range, or `None` if no ray meets the box.
+    /// The smallest and the largest length of a tick on the rays of a mask, in the packet's space.
     #[must_use]
-    pub fn samples_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
+    pub fn tick_range(&self, lanes: u64) -> (f64, f64) {
+        let per_step = 2_f64.powi(-(self.level as i32));
+        let ticks = (0..LANES).filter(|lane| lanes >> lane & 1 == 1).map(|lane| self.step[lane] * per_step);
+        ticks.fold((f64::INFINITY, 0.0), |(least, most), tick| (least.min(tick), most.max(tick)))
+    }
+
+    /// The ticks at which samples may lie in a box on any ray of a beam of this packet: an
+    /// inclusive, conservative range, or `None` if no ray meets the box.
+    #[must_use]
+    pub fn ticks_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
         let (enter, exit) = beam.span(bounds)?;
-        // Two samples of slack are far more than the rounding error of the quotients.
-        let first = (enter / self.step_world - 2.0).max(0.0);
-        let last = (exit / self.step_world + 2.0).min(MOST_SAMPLES);
-        (first < MOST_SAMPLES).then_some((first as u64, last as u64))
+        let tick = self.tick_world;
+        // Two ticks of slack are far more than the rounding error of the quotients.
+        let first = (enter / tick - 2.0).max(0.0);
+        let last = (exit / tick + 2.0).min(MOST_TICKS);
+        (first < MOST_TICKS).then_some((first as u64, last as u64))
     }
 }
 
@@ -213,13 +243,16 @@ fn per_block(step: f64) -> f32 {
     (1.0 / (step * BLOCK_SAMPLES as f64)) as f32
 }
 
-/// A range of sample numbers, the same on every ray of a packet.
+/// A range of sample numbers at one level, the same on every ray of a packet. Sample j stands for
+/// the ticks from j·2^level on, up to those of the next sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slab {
     /// Number of the first sample.
     pub first: u64,
     /// Number of samples, at most [`SLAB_SAMPLES`].
     pub samples: usize,
+    /// Their level: they are 2^level ticks apart.
+    pub level: u32,
 }
 
 impl Slab {
@@ -227,6 +260,36 @@ impl Slab {
     #[must_use]
     pub fn end(&self) -> u64 {
         self.first + self.samples as u64
+    }
+
+    /// The first tick.
+    #[must_use]
+    pub fn first_tick(&self) -> u64 {
+        self.first << self.level
+    }
+
+    /// One past the last tick.
+    #[must_use]
+    pub fn end_tick(&self) -> u64 {
+        self.end() << self.level
+    }
+
+    /// Its ticks at the level below, as two slabs of as many samples.
+    ///
+    /// Panics at level 0.
+    #[must_use]
+    pub fn halves(&self) -> [Self; 2] {
+        assert!(self.level > 0, "there is nothing below level 0");
+        let first = 2 * self.first;
+        [first, first + self.samples as u64].map(|first| Self { first, level: self.level - 1, ..*self })
+    }
+
+    /// The samples in a range of ticks, both included, that has ticks in the slab or behind its
+    /// beginning: counted from the first of the slab.
+    #[must_use]
+    pub fn samples_at(&self, first_tick: u64, last_tick: u64) -> (u64, u64) {
+        let number = |tick: u64| tick.saturating_sub(self.first_tick()) >> self.level;
+        (number(first_tick), number(last_tick))
     }
 
     /// Number of blocks of samples that it takes, the last of them perhaps in part.

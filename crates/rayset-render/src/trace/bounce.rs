@@ -63,6 +63,8 @@ pub(super) struct TreeRay {
     pub(super) ray: Ray,
     /// Offset of its samples along the ray, in steps.
     pub(super) sample_offset: f64,
+    /// The step where it begins; world space. 0 at the eye.
+    pub(super) step_world: f64,
     /// The number of its sheet of rays from the eye times 64, and its place there.
     pub(super) pixel: u32,
     /// The width of the pixel along the ray, as if no surface on the way were curved.
@@ -82,8 +84,9 @@ pub(super) struct TreeRay {
 impl TreeRay {
     /// A primary ray, which starts at the eye.
     pub(super) fn primary(ray: Ray, sample_offset: f64, pixel: u32, footprint: Footprint) -> Self {
-        let (weight, covers, depth) = (1.0, true, 0);
-        Self { ray, sample_offset, pixel, footprint, weight, covers, depth, index: 1.0, normal: DVec3::ZERO }
+        let (step_world, weight, covers, depth) = (0.0, 1.0, true, 0);
+        let (index, normal) = (1.0, DVec3::ZERO);
+        Self { ray, sample_offset, step_world, pixel, footprint, weight, covers, depth, index, normal }
     }
 
     /// Whether it starts at the eye.
@@ -107,7 +110,10 @@ struct Mirror {
     normal: DVec3,
     /// Their own colour, used if the reflection is too weak to be traced.
     color: [f32; 3],
-    last_sample: u64,
+    /// Where the sample begins that would be the next, in ticks.
+    next_tick: u64,
+    /// The step at the last sample; world space.
+    step_world: f64,
 }
 
 /// The rays that replace a refracted ray. Their weights are set by [`RefractionStates::follow`].
@@ -152,7 +158,13 @@ impl RefractionStates {
         self.states_of_rays.extend(rays.map(|from| RefractionState {
             from,
             index: from.index,
-            inside: Inside { t: 0.0, normal: from.normal, depth: 0.0, reflectance: 0.0 },
+            inside: Inside {
+                t: 0.0,
+                normal: from.normal,
+                depth: 0.0,
+                step_world: from.step_world,
+                reflectance: 0.0,
+            },
             mirror: None,
             bent: None,
         }));
@@ -198,7 +210,7 @@ impl RefractionStates {
                 let is_inside = inside >> j & 1 == 1;
                 let here = is_inside.then(|| samples.at(j));
                 let index = if is_inside { samples.index(j) } else { 1.0 };
-                if state.comes_to(here, index, packet.step_world()) {
+                if state.comes_to(here, index) {
                     if touched {
                         node.opacity[lane].0[j..].fill(0.0);
                     }
@@ -211,10 +223,8 @@ impl RefractionStates {
 
     /// Takes the rays of `going` that are inside an object out of it, because the samples that
     /// follow are empty. Returns the lanes of the rays that end.
-    pub(super) fn leave(&mut self, packet: &Packet, going: u64, states: &[RayState; LANES]) -> u64 {
-        each_lane(self.may_bend(going), |lane| {
-            self.states_of_rays[lane].comes_to(None, 1.0, packet.step_world());
-        });
+    pub(super) fn leave(&mut self, going: u64, states: &[RayState; LANES]) -> u64 {
+        each_lane(self.may_bend(going), |lane| _ = self.states_of_rays[lane].comes_to(None, 1.0));
         self.follow(going, states)
     }
 
@@ -274,11 +284,12 @@ impl RefractionStates {
     ) -> [f32; 3] {
         let sample = slab.first + j as u64;
         let normal = node.normal_at(lane, j);
-        let goes_on = |m: &Mirror| m.last_sample + 1 == sample && m.normal.dot(normal) > 0.0;
+        let tick = sample << slab.level;
+        let goes_on = |m: &Mirror| m.next_tick == tick && m.normal.dot(normal) > 0.0;
         let ended = if self.states_of_rays[lane].mirror.as_ref().is_some_and(goes_on) {
             [0.0; 3]
         } else {
-            self.end_mirror(packet, lane)
+            self.end_mirror(lane)
         };
         // A sample within reach of the boundary reflects at the boundary.
         let depth = -f64::from(node.boundary[lane].0[j]);
@@ -289,14 +300,15 @@ impl RefractionStates {
             place: DVec3::ZERO,
             normal: DVec3::ZERO,
             color: [0.0; 3],
-            last_sample: sample,
+            next_tick: tick,
+            step_world: 0.0,
         };
         let mirror = self.states_of_rays[lane].mirror.get_or_insert(none);
         let part = f64::from(weight);
         mirror.weight += part;
         mirror.place += part * (packet.ray(lane).at(packet.sample_t_world(lane, sample)) + lift * normal);
         mirror.normal += part * normal;
-        mirror.last_sample = sample;
+        (mirror.next_tick, mirror.step_world) = (tick + (1 << slab.level), packet.step_world());
         for channel in 0..3 {
             mirror.color[channel] += weight * color[channel];
         }
@@ -305,7 +317,7 @@ impl RefractionStates {
 
     /// Ends the samples of a lane that reflect together: either a mirrored ray starts from them, or
     /// their own colour is returned.
-    fn end_mirror(&mut self, packet: &Packet, lane: usize) -> [f32; 3] {
+    fn end_mirror(&mut self, lane: usize) -> [f32; 3] {
         let state = &mut self.states_of_rays[lane];
         let Some(mirror) = state.mirror.take() else { return [0.0; 3] };
         let weight = state.from.weight * mirror.weight;
@@ -315,18 +327,22 @@ impl RefractionStates {
         let direction = mirrored(state.from.ray.direction, normal);
         let place = mirror.place / mirror.weight;
         // As for a shadow ray, the first sample is (½ + offset) steps from `place`.
-        let ray = Ray { origin: place + direction * (0.5 * packet.step_world()), direction };
+        let step_world = mirror.step_world;
+        let ray = Ray { origin: place + direction * (0.5 * step_world), direction };
         let depth = state.from.depth + 1;
         let footprint = state.from.footprint.from(place.distance(state.from.ray.origin));
         let from = TreeRay { footprint, ..state.from };
-        self.next.push((lane, TreeRay { ray, weight, depth, index: 1.0, normal, covers: false, ..from }));
+        self.next.push((
+            lane,
+            TreeRay { ray, step_world, weight, depth, index: 1.0, normal, covers: false, ..from },
+        ));
         [0.0; 3]
     }
 
     /// Ends the samples that reflect together, on every ray.
-    pub(super) fn end_mirrors(&mut self, packet: &Packet, states: &mut [RayState; LANES]) {
-        for (lane, state) in states.iter_mut().enumerate().take(packet.len()) {
-            let color = self.end_mirror(packet, lane);
+    pub(super) fn end_mirrors(&mut self, states: &mut [RayState; LANES]) {
+        for (lane, state) in states.iter_mut().enumerate().take(self.states_of_rays.len()) {
+            let color = self.end_mirror(lane);
             (0..3).for_each(|channel| state.color[channel] += color[channel]);
         }
     }
@@ -340,7 +356,7 @@ impl RefractionStates {
 impl RefractionState {
     /// Advances to a sample of refractive index `index`, inside an object (`here`) or not. Returns
     /// whether the ray is refracted.
-    fn comes_to(&mut self, here: Option<Inside>, index: f32, step: f64) -> bool {
+    fn comes_to(&mut self, here: Option<Inside>, index: f32) -> bool {
         let before = self.index;
         let goes_out = here.is_none();
         let at = here.unwrap_or(self.inside);
@@ -356,13 +372,14 @@ impl RefractionState {
             self.index = index;
             return false;
         }
-        // Where the ray crosses the boundary: at most one step from the sample inside.
-        let to_boundary = (at.depth / cosine).min(step);
+        // Where the ray crosses the boundary: at most one of its steps from the sample inside.
+        let to_boundary = (at.depth / cosine).min(at.step_world);
         let t = if goes_out { at.t + to_boundary } else { (at.t - to_boundary).max(0.0) };
         let toward = |direction, index| {
             let ray = Ray { origin: self.from.ray.at(t), direction };
             let footprint = self.from.footprint.from(t);
-            TreeRay { ray, footprint, depth: self.from.depth + 1, index, normal: at.normal, ..self.from }
+            let (depth, step_world) = (self.from.depth + 1, at.step_world);
+            TreeRay { ray, step_world, footprint, depth, index, normal: at.normal, ..self.from }
         };
         let back = toward(mirrored(direction, at.normal), before);
         self.bent = Some(match refracted(direction, at.normal, f64::from(before) / f64::from(index)) {

@@ -12,6 +12,8 @@ pub(super) struct Inside {
     pub(super) normal: DVec3,
     /// Distance to the boundary; world space.
     pub(super) depth: f64,
+    /// The step there; world space.
+    pub(super) step_world: f64,
     pub(super) reflectance: f32,
 }
 
@@ -65,6 +67,7 @@ impl Samples<'_> {
             t: self.packet.sample_t_world(self.lane, self.slab.first + j as u64),
             normal: self.node.normal_at(self.lane, j),
             depth: -f64::from(self.node.boundary[self.lane].0[j]),
+            step_world: self.packet.step_world(),
             reflectance: self.constants.material_at(self.node, REFLECTANCE, self.lane, j),
         }
     }

@@ -1,11 +1,13 @@
 //! What a march takes in memory.
 
 use super::cloud::{CloudMarch, CloudScratch};
+use super::evaluate::MOST_FIELDS;
 use super::grid::{GridMarch, GridScratch};
-use super::march::{MOST_FIELDS, March};
+use super::march::March;
 use super::node_samples::NodeSamples;
 use super::procedural::ProceduralMarch;
 use super::program::{Action, Program};
+use super::steps::{Details, may_differ};
 
 /// What a march keeps of every instruction: its range of samples, the states of its cloud, grid or
 /// field, its shared block.
@@ -25,9 +27,12 @@ impl March<'_> {
         let fields = count(|action| matches!(action, Action::Procedural(_))).min(MOST_FIELDS);
         let channels = program.required.attributes.count_ones() as usize;
         let of_clouds = clouds * CloudMarch::BYTES + CloudScratch::bytes(clouds, channels);
+        let of_details =
+            if may_differ(program) { Details::BYTES + clouds * Details::BYTES_OF_CLOUD } else { 0 };
         let of_grids = if grids > 0 { grids * GridMarch::BYTES + GridScratch::BYTES } else { 0 };
         program.instructions.len() * PLACE_BYTES
             + program.most_blocks() * NodeSamples::bytes(program.required)
+            + of_details
             + of_clouds
             + of_grids
             + fields * ProceduralMarch::BYTES

@@ -16,6 +16,7 @@ mod composite;
 mod counts;
 mod engine;
 mod error;
+mod evaluate;
 mod grid;
 mod inside;
 mod interior;

@@ -47,7 +47,7 @@ impl<'a> PacketTracer<'a> {
         Self {
             world,
             rays,
-            march: March::new(&world.program, slab_samples),
+            march: March::new(&world.program, &world.steps, slab_samples),
             shadows: world.shadows.as_ref().map(|world| Shadows::new(world, slab_samples)),
             refraction: world.bounces.map(RefractionStates::new),
             layers: world.layers.then(Layers::new),
@@ -175,10 +175,10 @@ impl<'a> PacketTracer<'a> {
         let known = tree.following();
         tree.ends.clear();
         tree.ends.resize(tree.generation().len(), End::default());
-        let packets = tree.packets(access, self.world)?;
+        let packets = tree.packets(self.world.steps.coarsest_world());
         self.ask_ahead(access, tree, &packets);
-        for (step, members) in packets {
-            self.packet(access, tree, &members, step)?;
+        for members in packets {
+            self.packet(access, tree, &members)?;
             if is_limited && tree.has_too_many() {
                 return Ok(Traced::TooMany);
             }
@@ -190,31 +190,22 @@ impl<'a> PacketTracer<'a> {
 
     /// Asks for the pages that rays will need. Those of rays from the eye have been looked for
     /// before: they are only if that did not suffice.
-    fn ask_ahead(&self, access: Access<'_>, tree: &RayTree, packets: &[(f64, Vec<usize>)]) {
+    fn ask_ahead(&self, access: Access<'_>, tree: &RayTree, packets: &[Vec<usize>]) {
         let generation = tree.generation();
         let Some(reach) = access.foresees else { return };
         let is_known = |first: &Successor| first.ray.is_primary() && reach <= 1.0;
         if generation.first().is_none_or(is_known) {
             return;
         }
-        let rays: Vec<Vec<Ray>> = packets
-            .iter()
-            .map(|(_, members)| members.iter().map(|&i| generation[i].ray.ray).collect())
-            .collect();
+        let rays: Vec<Vec<Ray>> =
+            packets.iter().map(|members| members.iter().map(|&i| generation[i].ray.ray).collect()).collect();
         self.world.foresight.ask(&self.world.program, access, rays.iter().map(Vec::as_slice));
     }
 
     /// Traces one packet; adds the results of its rays and their successors to the tree.
-    fn packet(
-        &mut self,
-        access: Access<'_>,
-        tree: &mut RayTree,
-        members: &[usize],
-        step: f64,
-    ) -> Result<(), Halt> {
+    fn packet(&mut self, access: Access<'_>, tree: &mut RayTree, members: &[usize]) -> Result<(), Halt> {
         let rays: Vec<TreeRay> = members.iter().map(|&i| tree.generation()[i].ray).collect();
         let lanes: Vec<(Ray, f64)> = rays.iter().map(|ray| (ray.ray, ray.sample_offset)).collect();
-        let packet = Packet::new(&lanes, step);
         let mut refraction = self.refraction.take();
         if let Some(refraction) = &mut refraction {
             refraction.begin(rays.iter().copied());
@@ -230,7 +221,6 @@ impl<'a> PacketTracer<'a> {
         let mut light = LightOfPacket {
             world: self.world,
             access,
-            packet: &packet,
             layers: self.layers.as_mut().filter(|_| is_primary),
             pixels: &places,
             shadows: self.shadows.as_mut(),
@@ -239,7 +229,7 @@ impl<'a> PacketTracer<'a> {
             shares: &mut self.shares,
             counts: &mut self.counts,
         };
-        let outcome = self.march.slabs(access, &packet, &mut light).map(|going| light.end(going));
+        let outcome = self.march.slabs(access, &lanes, &mut light).map(|going| light.end(going));
         if let Some(refraction) = &refraction {
             for &(lane, ray) in refraction.next() {
                 tree.follow(ray, members[lane]);
@@ -269,7 +259,6 @@ impl<'a> PacketTracer<'a> {
 struct LightOfPacket<'t, 'a> {
     world: &'t World,
     access: Access<'t>,
-    packet: &'t Packet,
     /// If layers are requested, and these rays are primary.
     layers: Option<&'t mut Layers>,
     /// The pixel of the tile that each ray is of.
@@ -284,19 +273,25 @@ struct LightOfPacket<'t, 'a> {
 impl SlabVisitor for LightOfPacket<'_, '_> {
     fn passed_nothing(&mut self, going: u64) -> u64 {
         let Some(refraction) = &mut self.refraction else { return 0 };
-        refraction.leave(self.packet, going, self.states)
+        refraction.leave(going, self.states)
     }
 
-    fn remaining(&self) -> Option<Remaining> {
-        self.world.absorption.remaining(self.packet, self.states)
+    fn remaining(&self, packet: &Packet) -> Option<Remaining> {
+        self.world.absorption.remaining(packet, self.states)
     }
 
     fn counts(&mut self) -> &mut RenderCounts {
         self.counts
     }
 
-    fn sampled(&mut self, slab: Slab, going: u64, node: &mut NodeSamples) -> Result<u64, Halt> {
-        let Self { world, packet, .. } = *self;
+    fn sampled(
+        &mut self,
+        packet: &Packet,
+        slab: Slab,
+        going: u64,
+        node: &mut NodeSamples,
+    ) -> Result<u64, Halt> {
+        let world = self.world;
         self.counts.slabs += 1;
         self.counts.samples += u64::from(going.count_ones()) * slab.samples as u64;
         if let Some(refraction) = &mut self.refraction {
@@ -309,7 +304,7 @@ impl SlabVisitor for LightOfPacket<'_, '_> {
             layers.gather(packet, slab, node, self.shares, world.shader.constants(), |lane| pixels[lane]);
         }
         if world.shader.flat_color().is_none() && self.shares.lanes() != 0 {
-            self.shade(slab, node)?;
+            self.shade(packet, slab, node)?;
         }
         if let Some(refraction) = &mut self.refraction {
             going &= !refraction.follow(going, self.states);
@@ -320,18 +315,18 @@ impl SlabVisitor for LightOfPacket<'_, '_> {
 
 impl LightOfPacket<'_, '_> {
     /// Adds the light of the samples of a slab to their rays.
-    fn shade(&mut self, slab: Slab, node: &NodeSamples) -> Result<(), Halt> {
+    fn shade(&mut self, packet: &Packet, slab: Slab, node: &NodeSamples) -> Result<(), Halt> {
         let (shader, none) = (&self.world.shader, Vec::new());
         let shadows = match &mut self.shadows {
             Some(shadows) => {
                 let before = self.counts.splats;
-                let rows = shadows.find(self.access, self.packet, slab, node, self.shares, self.counts)?;
+                let rows = shadows.find(self.access, packet, slab, node, self.shares, self.counts)?;
                 self.counts.shadow_splats += self.counts.splats - before;
                 rows
             }
             None => &none,
         };
-        let shown = SlabToShade { packet: self.packet, slab, node, shares: self.shares, shadows };
+        let shown = SlabToShade { packet, slab, node, shares: self.shares, shadows };
         shader.shade(shown, self.refraction.as_deref_mut(), self.states);
         Ok(())
     }
@@ -340,8 +335,8 @@ impl LightOfPacket<'_, '_> {
     /// have replaced.
     fn end(self, going: u64) -> u64 {
         let Some(refraction) = self.refraction else { return 0 };
-        refraction.leave(self.packet, going, self.states);
-        refraction.end_mirrors(self.packet, self.states);
+        refraction.leave(going, self.states);
+        refraction.end_mirrors(self.states);
         refraction.replaced()
     }
 }

@@ -198,11 +198,6 @@ impl Program {
         solids.filter_map(|at| at.bounds.clip(ray).map(|(enter, _)| enter))
     }
 
-    /// Its clouds, each with the index of its instruction.
-    pub(super) fn clouds(&self) -> impl Iterator<Item = (usize, &CloudVolume)> + Clone {
-        (0..self.instructions.len()).filter_map(|at| self.cloud(at).map(|volume| (at, volume)))
-    }
-
     /// The pages of its clouds and grids; of files that it uses several times, several times.
     pub(super) fn files(&self) -> impl Iterator<Item = &Arc<Object>> {
         self.instructions.iter().filter_map(|instruction| match &instruction.action {

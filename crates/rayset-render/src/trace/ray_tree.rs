@@ -3,10 +3,8 @@
 
 use std::ops::Range;
 
-use super::access::{Access, Halt};
 use super::bounce::{TreeRay, most_rays_of_a_pixel};
 use super::secondary::coherent_groups;
-use super::world::World;
 use crate::field::LANES;
 use crate::scene::RayMaker;
 use rayset_base::geometry::Ray;
@@ -163,40 +161,33 @@ impl RayTree {
         std::array::from_fn(|pixel| self.seen[at * LANES + pixel])
     }
 
-    /// Groups the rays into packets: the step and the members of each. Rays that have been turned
+    /// Groups the rays into packets: the members of each. Where rays begin at the eye, inside an
+    /// object, their step there is taken to be `step_world`. Rays that have been turned
     /// are together if their directions are in the same octant and their first slabs near to each
     /// other.
-    pub(super) fn packets(&self, access: Access<'_>, world: &World) -> Result<Vec<(f64, Vec<usize>)>, Halt> {
-        let place = |&i: &usize| (self.rays[i].ray.ray, self.rays[i].ray.sample_offset);
-        let mut order: Vec<usize> = (0..self.traced).collect();
-        let by_step = |some: &[usize]| -> Result<Vec<(f64, Vec<usize>)>, Halt> {
-            let places: Vec<(Ray, f64)> = some.iter().map(place).collect();
-            let groups = world.steps.groups(access, &world.program, &places)?;
-            Ok(groups.into_iter().map(|g| (g.step, g.members.iter().map(|&i| some[i]).collect())).collect())
-        };
+    pub(super) fn packets(&self, step_world: f64) -> Vec<Vec<usize>> {
         if self.rays[0].ray.is_primary() {
-            return by_step(&order);
+            return vec![in_order(self.traced).collect()];
         }
+        let mut order: Vec<usize> = (0..self.traced).collect();
         let octant = |i: usize| self.rays[i].ray.octant();
         order.sort_by_key(|&i| octant(i));
         let mut packets = Vec::new();
         for same in order.chunk_by(|&a, &b| octant(a) == octant(b)) {
-            let mut groups: Vec<(f64, Vec<usize>)> = Vec::new();
-            for some in same.chunks(LANES) {
-                for (step, members) in by_step(some)? {
-                    match groups.iter_mut().find(|(known, _)| *known == step) {
-                        Some((_, all)) => all.extend(members),
-                        None => groups.push((step, members)),
-                    }
-                }
-            }
-            for (step, members) in groups {
-                let ray = |i: usize| &self.rays[i].ray.ray;
-                packets.extend(coherent_groups(ray, members, step).into_iter().map(|m| (step, m)));
-            }
+            let ray = |i: usize| &self.rays[i].ray.ray;
+            let longest = same.iter().map(|&i| self.rays[i].ray.step_world).fold(0.0, f64::max);
+            let step = if longest > 0.0 { longest } else { step_world };
+            packets.extend(coherent_groups(ray, same.to_vec(), step));
         }
-        Ok(packets)
+        packets
     }
+}
+
+/// The indices of rays, such that neighbours follow each other: 64 rays are those of a tile of 8 ×
+/// 8 pixels, row after row, and come in the order of a Z curve.
+fn in_order(rays: usize) -> impl Iterator<Item = usize> {
+    let even_bits = |i: usize| i & 1 | i >> 1 & 2 | i >> 2 & 4;
+    (0..rays).map(move |i| if rays == LANES { even_bits(i) + 8 * even_bits(i >> 1) } else { i })
 }
 
 /// What is seen at a place of the picture.

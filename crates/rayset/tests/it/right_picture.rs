@@ -50,7 +50,7 @@ fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
     let mut seen = Vec::new();
     let mut counts = SplatCounts::default();
     for slab in 0..(4.0 * unit / step) as u64 / 32 + 2 {
-        let slab = Slab { first: first + 32 * slab, samples: SLAB_SAMPLES };
+        let slab = Slab { first: first + 32 * slab, samples: SLAB_SAMPLES, level: 0 };
         let mut samples = FieldSamples::new(channels);
         let mut batch = RunBatch::default();
         cloud

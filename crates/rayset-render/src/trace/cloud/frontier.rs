@@ -9,7 +9,7 @@ use std::ops::Range;
 use super::live_rays::LiveRays;
 use super::nodes::{NodesInMemory, RetainedNodes};
 use super::placement::CloudPlacement;
-use crate::field::{Packet, SLAB_SAMPLES};
+use crate::field::{Packet, SLAB_SAMPLES, Slab};
 use crate::trace::access::{Access, Halt};
 use rayset_base::geometry::{Aabb, Ray};
 use rayset_base::nearest_first::NearestFirst;
@@ -24,7 +24,7 @@ const MOST_SINGLE_RUNS: u32 = 512;
 
 /// Runs that extend over more samples of a packet than this are examined point by point.
 const MOST_SAMPLES_AT_ONCE: u64 = 64 * SLAB_SAMPLES as u64;
-/// Most separate ranges of samples that are kept for a run.
+/// Most separate ranges of ticks that are kept for a run.
 const MOST_RANGES: usize = 32;
 
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +44,7 @@ pub(super) struct Runs {
 
 #[derive(Clone, Copy, Debug)]
 struct Ahead {
-    /// Last sample that it may reach.
+    /// Last tick that it may reach.
     last: u64,
     item: Item,
 }
@@ -53,7 +53,7 @@ struct Ahead {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct ActiveRuns {
     pub(super) runs: Runs,
-    /// First and last sample that they may reach.
+    /// First and last tick that they may reach.
     pub(super) first: u64,
     pub(super) last: u64,
 }
@@ -61,11 +61,16 @@ pub(super) struct ActiveRuns {
 /// Nodes and runs ahead of a packet.
 #[derive(Default)]
 pub(super) struct Frontier {
-    /// By the first sample that an entry may reach. The order of ties does not matter: runs are
+    /// By the first tick that an entry may reach. The order of ties does not matter: runs are
     /// sorted before they are used.
     heap: NearestFirst<u64, Ahead>,
+    /// What only rays need that come to the slab with finer steps, while it is advanced to.
+    aside: Vec<(u64, Ahead)>,
     walk: Walk,
 }
+
+/// Before all samples.
+const NOWHERE: Slab = Slab { first: 0, samples: 0, level: 0 };
 
 /// Bounds of influence of a run, enlarged by more than the rounding error.
 pub(in crate::trace) fn run_bounds(cloud: &CloudPlacement, points: &PointPage<'_>, run: usize) -> Aabb {
@@ -93,43 +98,57 @@ impl Frontier {
     /// Restarts at the root.
     pub(super) fn begin(&mut self, place: PacketInCloud<'_>) -> Result<(), Halt> {
         self.heap.clear();
+        self.aside.clear();
         let mut none = Vec::new();
-        let mut opening = Opening::new(place, &mut self.heap, 0, &mut none);
+        let mut opening = Opening {
+            place,
+            heap: &mut self.heap,
+            aside: &mut self.aside,
+            slab: NOWHERE,
+            since: 0,
+            active: &mut none,
+            entry: None,
+        };
         self.walk.begin(&mut place.nodes(), &mut opening)
     }
 
-    /// The first sample that anything ahead may reach.
-    pub(super) fn next_sample(&self) -> Option<u64> {
+    /// The first tick that anything ahead may reach.
+    pub(super) fn next_tick(&self) -> Option<u64> {
         self.heap.nearest()
     }
 
-    /// Opens everything that samples before `end` may need and moves its runs to `active`. Nodes
-    /// that only samples without effect can reach are left for later.
+    /// Opens everything that samples of a slab may need and moves its runs to `active`. Nodes that
+    /// only samples without effect can reach are left for later. No ray comes to anything before
+    /// the tick `since` any more.
     pub(super) fn advance(
         &mut self,
         place: PacketInCloud<'_>,
-        end: u64,
+        slab: Slab,
+        since: u64,
         active: &mut Vec<ActiveRuns>,
     ) -> Result<(), Halt> {
-        let mut opening = Opening::new(place, &mut self.heap, end, active);
-        let outcome = self.walk.go_on(&mut place.nodes(), &mut opening);
+        let Self { heap, aside, walk } = self;
+        let mut opening = Opening { place, heap, aside, slab, since, active, entry: None };
+        let outcome = walk.go_on(&mut place.nodes(), &mut opening);
         let opened_last = opening.entry;
-        if let (Err(Halt::Deferred(_)), Some(Ahead { item: Item::Node(node), .. })) = (&outcome, opened_last)
+        self.aside.drain(..).for_each(|(first, entry)| self.heap.push(first, entry));
+        if let (Err(Halt::Deferred(_)), Some((_, Ahead { item: Item::Node(node), .. }))) =
+            (&outcome, opened_last)
         {
-            self.request_ahead(place, &node, end);
+            self.request_ahead(place, &node, slab);
         }
         outcome
     }
 
     /// Called when a page of a node is absent: requests, in one batch, all pages that this slab and
     /// the next `slabs_on_a_miss` slabs will open.
-    fn request_ahead(&self, place: PacketInCloud<'_>, node: &Node, end: u64) {
+    fn request_ahead(&self, place: PacketInCloud<'_>, node: &Node, slab: Slab) {
         let PacketInCloud { access, cloud, packet, rays } = place;
-        let until = end + access.slabs_on_a_miss * SLAB_SAMPLES as u64;
+        let until = slab.end_tick() + ((access.slabs_on_a_miss * SLAB_SAMPLES as u64) << slab.level);
         let mut pages: Vec<u32> = cloud.pages_to_open(node).collect();
         for (_, entry) in self.heap.iter().filter(|(first, _)| *first < until) {
             if let Item::Node(node) = &entry.item
-                && rays.samples_in(packet, &node.bounds(cloud.root_cell)).is_some()
+                && rays.ticks_in(packet, &node.bounds(cloud.root_cell)).is_some()
             {
                 pages.extend(cloud.pages_to_open(node));
             }
@@ -159,27 +178,19 @@ impl Frontier {
     }
 }
 
-/// The nodes that samples of a packet before one need, while they are opened.
+/// The nodes that samples of a slab need, while they are opened.
 struct Opening<'t> {
     place: PacketInCloud<'t>,
     heap: &'t mut NearestFirst<u64, Ahead>,
-    /// The first sample that needs nothing yet.
-    end: u64,
+    aside: &'t mut Vec<(u64, Ahead)>,
+    slab: Slab,
+    since: u64,
     active: &'t mut Vec<ActiveRuns>,
-    /// The entry that is visited.
-    entry: Option<Ahead>,
+    /// The entry that is visited, with the first tick that it may reach.
+    entry: Option<(u64, Ahead)>,
 }
 
 impl<'t> Opening<'t> {
-    fn new(
-        place: PacketInCloud<'t>,
-        heap: &'t mut NearestFirst<u64, Ahead>,
-        end: u64,
-        active: &'t mut Vec<ActiveRuns>,
-    ) -> Self {
-        Self { place, heap, end, active, entry: None }
-    }
-
     /// Examines the bounds of a node's own runs. This needs their pages, which are soon needed
     /// again for the points.
     fn open_own(&mut self, node: &Node, walk: &mut Walk) -> Result<(), Halt> {
@@ -190,21 +201,21 @@ impl<'t> Opening<'t> {
         let node_bounds = &node.bounds(cloud.root_cell);
         each_own_page(access, cloud, node, |page, points, range| {
             if node.own.runs > MOST_SINGLE_RUNS {
-                let (first, last) = rays.samples_in(packet, node_bounds).unwrap_or((0, 0));
+                let (first, last) = rays.ticks_in(packet, node_bounds).unwrap_or((0, 0));
                 let runs = Runs { page, first: range.start as u16, end: range.end as u16 };
                 self.heap.push(first, Ahead { last, item: Item::Runs(runs) });
                 return;
             }
             for index in range {
                 let bounds = run_bounds(cloud, points, index);
-                let Some((first, last)) = rays.samples_in(packet, &bounds) else { continue };
+                let Some((first, last)) = rays.ticks_in(packet, &bounds) else { continue };
                 let item = Item::Runs(Runs { page, first: index as u16, end: index as u16 + 1 });
-                if last - first <= MOST_SAMPLES_AT_ONCE {
+                if (last - first) >> self.slab.level <= MOST_SAMPLES_AT_ONCE {
                     self.heap.push(first, Ahead { last, item });
                     continue;
                 }
-                let ranges =
-                    ranges_of_points(self.place, points, index).unwrap_or_else(|| vec![(first, last)]);
+                let ranges = ranges_of_points(self.place, points, index, self.slab.level)
+                    .unwrap_or_else(|| vec![(first, last)]);
                 for (first, last) in ranges {
                     self.heap.push(first, Ahead { last, item });
                 }
@@ -216,19 +227,21 @@ impl<'t> Opening<'t> {
 impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
     fn meet(&mut self, node: Node) {
         let PacketInCloud { cloud, packet, rays, .. } = self.place;
-        if let Some((first, last)) = rays.samples_in(packet, &node.bounds(cloud.root_cell)) {
+        if let Some((first, last)) = rays.ticks_in(packet, &node.bounds(cloud.root_cell)) {
             self.heap.push(first, Ahead { last, item: Item::Node(node) });
         }
     }
 
     fn next(&mut self) -> Option<Node> {
-        while let Some((first, entry)) = self.heap.pop_before(self.end) {
+        while let Some((first, entry)) = self.heap.pop_before(self.slab.end_tick()) {
             match entry.item {
                 Item::Runs(runs) => {
                     self.active.push(ActiveRuns { runs, first, last: entry.last });
                 }
+                // What waited for finer steps may lie behind all rays meanwhile.
+                Item::Node(_) if entry.last < self.since => {}
                 Item::Node(node) => {
-                    self.entry = Some(entry);
+                    self.entry = Some((first, entry));
                     return Some(node);
                 }
             }
@@ -240,10 +253,13 @@ impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
         let PacketInCloud { cloud, packet, rays, .. } = self.place;
         let bounds = node.bounds(cloud.root_cell);
         // Rays that met it may have ended since.
-        let Some(range) = rays.samples_in(packet, &bounds) else { return Ok(Visit::Skip) };
+        let Some(range) = rays.ticks_in(packet, &bounds) else { return Ok(Visit::Skip) };
         if rays.misses_now(&bounds, range) {
-            if let Some(entry) = self.entry.filter(|entry| entry.last >= self.end) {
-                self.heap.push(self.end, entry);
+            let end = self.slab.end_tick();
+            match self.entry {
+                Some((first, entry)) if rays.some_wait() => self.aside.push((first, entry)),
+                Some((_, entry)) if entry.last >= end => self.heap.push(end, entry),
+                _ => {}
             }
             return Ok(Visit::Skip);
         }
@@ -309,9 +325,15 @@ pub(in crate::trace) fn each_own_page(
     Ok(())
 }
 
-/// Ranges of samples that the points of a wide run may reach, or `None` if there are too many. They
-/// may be much smaller than the range of its bounds, because rays miss most points of a wide run.
-fn ranges_of_points(place: PacketInCloud<'_>, points: &PointPage<'_>, run: usize) -> Option<Vec<(u64, u64)>> {
+/// Ranges of ticks that the points of a wide run may reach, or `None` if there are too many that
+/// are more than a slab of a level apart. They may be much smaller than the range of its bounds,
+/// because rays miss most points of a wide run.
+fn ranges_of_points(
+    place: PacketInCloud<'_>,
+    points: &PointPage<'_>,
+    run: usize,
+    level: u32,
+) -> Option<Vec<(u64, u64)>> {
     let PacketInCloud { cloud, packet, rays, .. } = place;
     let run = points.run(run);
     let mut radii = [cloud.header().radius.min(); RUN_POINTS];
@@ -325,12 +347,12 @@ fn ranges_of_points(place: PacketInCloud<'_>, points: &PointPage<'_>, run: usize
         .filter_map(|(&position, &radius)| {
             // Far larger than the rounding error when a point is added to samples.
             let reach = f64::from(radius) * (1.0 + 1e-4);
-            going.samples_in(packet, &Aabb::new(position - reach, position + reach))
+            going.ticks_in(packet, &Aabb::new(position - reach, position + reach))
         })
         .collect();
     ranges.sort_unstable();
     ranges.dedup_by(|next, before| {
-        let one = next.0 <= before.1 + SLAB_SAMPLES as u64;
+        let one = next.0 <= before.1 + ((SLAB_SAMPLES as u64) << level);
         if one {
             before.1 = before.1.max(next.1);
         }

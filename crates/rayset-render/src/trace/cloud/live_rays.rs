@@ -19,8 +19,8 @@ pub(super) struct RaySet {
     apart: bool,
     /// The rays individually, once they have been needed.
     each: OnceCell<RayColumns>,
-    /// The smallest and the largest step of these rays.
-    steps: (f64, f64),
+    /// The shortest and the longest tick of these rays.
+    ticks: (f64, f64),
     simd: SimdLevel,
 }
 
@@ -28,7 +28,7 @@ impl RaySet {
     fn new(packet: &Packet, lanes: u64, simd: SimdLevel) -> Self {
         let beam = packet.beam(lanes);
         let apart = lanes != packet.all() || beam.spread() > MOST_SPREAD;
-        Self { lanes, beam, apart, each: OnceCell::new(), steps: packet.step_range(lanes), simd }
+        Self { lanes, beam, apart, each: OnceCell::new(), ticks: packet.tick_range(lanes), simd }
     }
 
     /// The same rays, tested individually.
@@ -36,9 +36,9 @@ impl RaySet {
         Self { apart: true, each: self.each.clone(), ..*self }
     }
 
-    /// The samples that may lie in a box, or `None` if there are none.
-    pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
-        let (first, last) = packet.samples_in(&self.beam, bounds)?;
+    /// The ticks of samples that may lie in a box, or `None` if there are none.
+    pub(super) fn ticks_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
+        let (first, last) = packet.ticks_in(&self.beam, bounds)?;
         if self.lanes == 0 || !self.apart && !self.may_pass_between(packet, bounds, first) {
             return Some((first, last));
         }
@@ -54,18 +54,18 @@ impl RaySet {
             near &= near - 1;
             (enter, exit) = (enter.min(crossing.enter_near[lane]), exit.max(crossing.exit_near[lane]));
         }
-        // A slack of two samples, as for the beam; wherever single precision is used, it is far
-        // finer than one sample.
-        let (least, most) = self.steps;
+        // A slack of two ticks, as for the beam; what single precision loses is in the margin of
+        // the test.
+        let (least, most) = self.ticks;
         let enter = f64::from(enter) * (1.0 - 1e-5) / most - 2.0;
         let exit = f64::from(exit) * (1.0 + 1e-5) / least + 2.0;
         let (first, last) = (first.max(enter.max(0.0) as u64), last.min(exit as u64));
         (first <= last).then_some((first, last))
     }
 
-    /// Whether a box that the rays come to with a sample is so small that some of them may miss it.
-    fn may_pass_between(&self, packet: &Packet, bounds: &Aabb, sample: u64) -> bool {
-        let there = sample as f64 * packet.step_world();
+    /// Whether a box that the rays come to at a tick is so small that some of them may miss it.
+    fn may_pass_between(&self, packet: &Packet, bounds: &Aabb, tick: u64) -> bool {
+        let there = tick as f64 * packet.tick_world();
         bounds.size().max_element() < self.beam.width_at(there)
     }
 }
@@ -84,30 +84,32 @@ struct SomeRays {
     mask: u64,
     lanes: Vec<u8>,
     columns: RayColumns,
-    /// Reciprocals of their largest and smallest step.
-    inverse_steps: (f32, f32),
+    /// Reciprocals of their longest and shortest tick.
+    per_tick: (f32, f32),
 }
 
 impl SomeRays {
     fn new(packet: &Packet, mask: u64, simd: SimdLevel) -> Self {
         let mut lanes = Vec::with_capacity(mask.count_ones() as usize);
         each_lane(mask, |lane| lanes.push(lane as u8));
-        let (least, most) = packet.step_range(mask);
-        let inverse_steps = ((1.0 / most) as f32, (1.0 / least) as f32);
-        Self { mask, lanes, columns: RayColumns::new(simd, packet.rays(mask)), inverse_steps }
+        let (least, most) = packet.tick_range(mask);
+        let per_tick = ((1.0 / most) as f32, (1.0 / least) as f32);
+        Self { mask, lanes, columns: RayColumns::new(simd, packet.rays(mask)), per_tick }
     }
 }
 
 impl LiveSamples {
-    /// Whether any of these samples may lie in a box. `first` and `last` are the packet's samples
-    /// in the box.
+    /// Whether any of these samples may lie in a box. `first` and `last` are the packet's ticks in
+    /// the box.
     fn meets(&self, bounds: &Aabb, (first, last): (u64, u64)) -> bool {
-        let from = first.max(self.slab.first) - self.slab.first;
-        if last < self.slab.first || self.any & bits_between(from, last - self.slab.first) == 0 {
+        let in_slab = self.slab.samples_at(first, last);
+        if last < self.slab.first_tick() || self.any & bits_between(in_slab.0, in_slab.1) == 0 {
             return false;
         }
         let crossing = self.rays.columns.cross(bounds, 0.0);
-        let (slow, fast) = self.rays.inverse_steps;
+        // A power of two, so that products with it are exact.
+        let per_step = 2_f32.powi(-(self.slab.level as i32));
+        let (slow, fast) = (self.rays.per_tick.0 * per_step, self.rays.per_tick.1 * per_step);
         // A slack of two samples, as for the beam; wherever single precision is used, it is far
         // finer than one sample.
         let first_sample = self.slab.first as f32;
@@ -137,18 +139,22 @@ pub(super) fn bits_between(first: u64, last: u64) -> u32 {
 pub(super) struct LiveRays {
     going: RaySet,
     now: Option<LiveSamples>,
+    /// Whether some of the rays wait: they come to the slab with finer steps.
+    some_wait: bool,
 }
 
 impl LiveRays {
-    /// The samples of live rays that may lie in a box, or `None` if there are none.
-    pub(super) fn samples_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
-        self.going.samples_in(packet, bounds)
+    /// The ticks of samples of live rays that may lie in a box, or `None` if there are none.
+    pub(super) fn ticks_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
+        self.going.ticks_in(packet, bounds)
     }
 
     /// Whether samples of live rays in a slab may lie in a box.
     pub(super) fn reach(&self, packet: &Packet, bounds: &Aabb, slab: Slab) -> bool {
-        let samples = self.samples_in(packet, bounds);
-        samples.is_some_and(|(first, last)| first < slab.end() && last >= slab.first)
+        let ticks = self.ticks_in(packet, bounds);
+        ticks.is_some_and(|(first, last)| {
+            first < slab.end_tick() && last >= slab.first_tick() && !self.misses_now(bounds, (first, last))
+        })
     }
 
     /// The same rays, tested individually.
@@ -157,26 +163,33 @@ impl LiveRays {
     }
 
     /// Whether none of the samples that matter in this slab lies in a box; `range` is the packet's
-    /// samples in the box.
+    /// ticks in the box.
     pub(super) fn misses_now(&self, bounds: &Aabb, range: (u64, u64)) -> bool {
         self.now.as_ref().is_some_and(|now| !now.meets(bounds, range))
     }
 
-    /// All rays of a packet.
-    pub(super) fn new(packet: &Packet, simd: SimdLevel) -> Self {
-        Self { going: RaySet::new(packet, packet.all(), simd), now: None }
+    /// Whether rays have yet to come to what lies in the slab.
+    pub(super) fn some_wait(&self) -> bool {
+        self.some_wait
     }
 
-    /// Replaces the rays by others of the same packet, with those of their samples that still
-    /// matter.
+    /// All rays of a packet.
+    pub(super) fn new(packet: &Packet, simd: SimdLevel) -> Self {
+        Self { going: RaySet::new(packet, packet.all(), simd), now: None, some_wait: false }
+    }
+
+    /// Replaces the rays by others of the same packet, with those of their samples in a slab that
+    /// still matter: of those in `going`. Those in `waiting` have theirs at finer levels.
     pub(super) fn become_rays(
         &mut self,
         packet: &Packet,
         slab: Slab,
         live: &Live,
-        going: u64,
+        (going, waiting): (u64, u64),
         simd: SimdLevel,
     ) {
+        self.some_wait = waiting != 0;
+        let going = going | waiting;
         if self.going.lanes != going {
             self.going = RaySet::new(packet, going, simd);
         }

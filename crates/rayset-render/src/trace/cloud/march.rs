@@ -79,6 +79,9 @@ pub(in crate::trace) struct Request<'a> {
     pub(in crate::trace) live: &'a Live,
     /// Lanes whose rays have not ended.
     pub(in crate::trace) going: u64,
+    /// Lanes whose rays have not ended either, but come to the slab with finer steps, and the first
+    /// tick that these may still come to.
+    pub(in crate::trace) waiting: (u64, u64),
     pub(in crate::trace) measure: Measure,
     pub(in crate::trace) required: RequiredOutputs,
     pub(in crate::trace) simd: SimdLevel,
@@ -129,12 +132,12 @@ impl CloudMarch {
         Ok(())
     }
 
-    /// The first sample at or after `from` at which there may be points.
-    pub(in crate::trace) fn next_sample(&self, from: u64) -> Option<u64> {
+    /// The first tick at or after `from` at which there may be points.
+    pub(in crate::trace) fn next_tick(&self, from: u64) -> Option<u64> {
         if self.active.iter().any(|run| run.last >= from) {
             return Some(from);
         }
-        self.frontier.next_sample().map(|sample| sample.max(from))
+        self.frontier.next_tick().map(|tick| tick.max(from))
     }
 
     /// Evaluates a slab; fills the lanes that points reach.
@@ -146,17 +149,19 @@ impl CloudMarch {
         counts: &mut RenderCounts,
         out: &mut NodeSamples,
     ) -> Result<(), Halt> {
-        let Request { access, slab, live, going, measure, required, simd, .. } = request;
+        let Request { access, slab, live, going, waiting, measure, required, simd, .. } = request;
         out.touched = 0;
         let lanes = live.lanes() & going;
         let Some(rays) = self.rays.as_mut().filter(|_| lanes != 0) else { return Ok(()) };
-        rays.become_rays(&self.packet, slab, live, going, simd);
+        self.packet.set_level(slab.level);
+        let (waiting, since) = waiting;
+        rays.become_rays(&self.packet, slab, live, (going, waiting), simd);
         let place = PacketInCloud { access, cloud: &volume.placement, packet: &self.packet, rays };
-        self.frontier.advance(place, slab.end(), &mut self.active)?;
+        self.frontier.advance(place, slab, since, &mut self.active)?;
         if access.follows_lines {
             self.frontier.precache(place);
         }
-        self.active.retain(|run| run.last >= slab.first);
+        self.active.retain(|run| run.last >= since);
         if self.active.is_empty() {
             return Ok(());
         }
@@ -194,8 +199,8 @@ impl CloudMarch {
         batch.clear();
         let live = request.live.0.iter().fold(0, |samples, lane| samples | lane);
         let matters = |runs: &ActiveRuns| {
-            let first = runs.first.max(slab.first) - slab.first;
-            first < slab.samples as u64 && live & bits_between(first, runs.last - slab.first) != 0
+            let (first, last) = slab.samples_at(runs.first, runs.last);
+            first < slab.samples as u64 && live & bits_between(first, last) != 0
         };
         // A run with several ranges of samples is added only once.
         let mut before = None;
@@ -206,7 +211,7 @@ impl CloudMarch {
                 at += count;
                 continue;
             }
-            let guard = request.access.retain_in_turn(&cloud.pages, page, slab.first, again)?;
+            let guard = request.access.retain_in_turn(&cloud.pages, page, slab.first_tick(), again)?;
             let points = PointPage::trusted(&guard, cloud.header());
             while let Some(active) = self.active.get(at).filter(|a| a.runs.page == page) {
                 let Runs { first, end, .. } = active.runs;
@@ -215,10 +220,10 @@ impl CloudMarch {
                 if first < end {
                     before = Some(active.runs);
                 }
+                // A single run has been examined before, for all rays.
+                let is_examined = end - first == 1 && !rays.some_wait();
                 for index in usize::from(first)..usize::from(end) {
-                    // A single run has been examined before.
-                    if end - first > 1 && !rays.reach(&self.packet, &run_bounds(cloud, &points, index), slab)
-                    {
+                    if !is_examined && !rays.reach(&self.packet, &run_bounds(cloud, &points, index), slab) {
                         continue;
                     }
                     let of = (&shading.decoder, &points.run(index), cloud.header());
@@ -248,6 +253,6 @@ fn of_first_page(
 ) -> (usize, bool, bool) {
     let of_page = active.iter().take_while(|runs| runs.runs.page == active[0].runs.page);
     of_page.fold((0, false, false), |(count, needed, again), runs| {
-        (count + 1, needed || matters(runs), again || runs.last >= slab.end())
+        (count + 1, needed || matters(runs), again || runs.last >= slab.end_tick())
     })
 }

@@ -97,6 +97,11 @@ impl CloudPlacement {
         self.local_from_world.as_ref().map_or(1.0, |map| map.transform_vector3(direction_world).length())
     }
 
+    /// The least length in local space of a unit of world space.
+    pub(in crate::trace) fn least_stretch(&self) -> f64 {
+        self.least_stretch
+    }
+
     /// The largest radius of any point along any direction, world space.
     pub(in crate::trace) fn largest_radius_world(&self) -> f64 {
         let stretch =

@@ -45,7 +45,7 @@ impl GridRays {
         // two too many at either end.
         let (mut first, mut end) =
             ((number(enter).floor() - 1.0).max(0.0) as u64, (number(exit).ceil() + 2.0) as u64);
-        let slab = |sample: u64| self.ray(lane, Slab { first: sample, samples: 1 });
+        let slab = |sample: u64| self.ray(lane, Slab { first: sample, samples: 1, level: 0 });
         while first < end && !bounds.contains(slab(first).place(0)) {
             first += 1;
         }

@@ -211,7 +211,7 @@ mod tests {
         let (mut found, mut places) = (MetBricks::new(), Places::new());
         let in_voxels = GridRays::new(&grid, &packet);
         for number in 0..5 {
-            let slab = Slab { first: 32 * number, samples: SLAB_SAMPLES };
+            let slab = Slab { first: 32 * number, samples: SLAB_SAMPLES, level: 0 };
             found.find(&grid, &in_voxels, slab, &live, &mut places);
             let mut covered = [0_u32; 64];
             for brick in found.bricks() {

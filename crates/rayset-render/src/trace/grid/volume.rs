@@ -177,6 +177,11 @@ impl GridVolume {
         1.0 / self.field.placement.voxel_from_world.transform_vector3(ray.direction).length()
     }
 
+    /// The smallest such distance along any ray.
+    pub(in crate::trace) fn least_spacing_world(&self) -> f64 {
+        1.0 / largest_stretch(&self.field.placement.voxel_from_world)
+    }
+
     /// The largest such distance along any ray.
     pub(in crate::trace) fn largest_spacing_world(&self) -> f64 {
         largest_stretch(&self.world_from_voxel)

@@ -4,7 +4,7 @@ use crate::field::{LANES, Packet, Slab};
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
 use crate::trace::march::{March, SlabVisitor};
-use crate::trace::node_samples::NodeSamples;
+use crate::trace::node_samples::{NodeSamples, each_lane};
 use crate::trace::program::Program;
 use crate::trace::steps::StepRule;
 use rayset_base::geometry::{DVec3, Ray};
@@ -16,8 +16,6 @@ const SAMPLE_OFFSET: f64 = 0.5;
 
 /// Follows rays through a node.
 pub(super) struct PassTracer<'p> {
-    program: &'p Program,
-    steps: &'p StepRule,
     march: March<'p>,
     open: Vec<Option<Pass>>,
     counts: RenderCounts,
@@ -42,34 +40,24 @@ impl Pass {
 
 impl<'p> PassTracer<'p> {
     pub(super) fn new(program: &'p Program, steps: &'p StepRule, slab_samples: usize) -> Self {
-        let march = March::new(program, slab_samples);
-        Self { program, steps, march, open: vec![None; LANES], counts: RenderCounts::default() }
+        let march = March::new(program, steps, slab_samples);
+        Self { march, open: vec![None; LANES], counts: RenderCounts::default() }
     }
 
     /// For each of at most 64 rays, the distances at which it crosses the surface, ascending.
     pub(super) fn crossings(&mut self, access: Access<'_>, rays: &[Ray]) -> Result<Vec<Vec<f64>>, Halt> {
         let rays: Vec<(Ray, f64)> = rays.iter().map(|&ray| (ray, SAMPLE_OFFSET)).collect();
-        let mut crossings = vec![Vec::new(); rays.len()];
-        for group in self.steps.groups(access, self.program, &rays)? {
-            let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
-            let packet = Packet::new(&members, group.step);
-            let mut found = vec![Vec::new(); members.len()];
-            self.open.fill(None);
-            let mut passes =
-                Passes { packet: &packet, open: &mut self.open, found: &mut found, counts: &mut self.counts };
-            self.march.slabs(access, &packet, &mut passes)?;
-            passes.close_all();
-            for (&ray, found) in group.members.iter().zip(found) {
-                crossings[ray] = found;
-            }
-        }
-        Ok(crossings)
+        let mut found = vec![Vec::new(); rays.len()];
+        self.open.fill(None);
+        let mut passes = Passes { open: &mut self.open, found: &mut found, counts: &mut self.counts };
+        self.march.slabs(access, &rays, &mut passes)?;
+        (0..rays.len()).for_each(|lane| passes.close(lane));
+        Ok(found)
     }
 }
 
 /// The passes of the rays of a packet.
 struct Passes<'t> {
-    packet: &'t Packet,
     open: &'t mut [Option<Pass>],
     /// For each ray, where it crosses the surface.
     found: &'t mut [Vec<f64>],
@@ -77,8 +65,8 @@ struct Passes<'t> {
 }
 
 impl SlabVisitor for Passes<'_> {
-    fn passed_nothing(&mut self, _: u64) -> u64 {
-        self.close_all();
+    fn passed_nothing(&mut self, going: u64) -> u64 {
+        each_lane(going, |lane| self.close(lane));
         0
     }
 
@@ -86,15 +74,21 @@ impl SlabVisitor for Passes<'_> {
         self.counts
     }
 
-    fn sampled(&mut self, slab: Slab, going: u64, node: &mut NodeSamples) -> Result<u64, Halt> {
-        (0..self.found.len()).for_each(|lane| self.extend(slab, node, lane));
+    fn sampled(
+        &mut self,
+        packet: &Packet,
+        slab: Slab,
+        going: u64,
+        node: &mut NodeSamples,
+    ) -> Result<u64, Halt> {
+        each_lane(going, |lane| self.extend(packet, slab, node, lane));
         Ok(going)
     }
 }
 
 impl Passes<'_> {
     /// Goes through the samples of a lane in a slab.
-    fn extend(&mut self, slab: Slab, node: &NodeSamples, lane: usize) {
+    fn extend(&mut self, packet: &Packet, slab: Slab, node: &NodeSamples, lane: usize) {
         if node.touched >> lane & 1 == 0 {
             return self.close(lane);
         }
@@ -103,7 +97,7 @@ impl Passes<'_> {
                 self.close(lane);
                 continue;
             }
-            let here = (self.packet.sample_t_world(lane, slab.first + j as u64), node.normal_at(lane, j));
+            let here = (packet.sample_t_world(lane, slab.first + j as u64), node.normal_at(lane, j));
             let pass = self.open[lane].get_or_insert(Pass { first: here, last: here });
             pass.last = here;
         }
@@ -111,9 +105,5 @@ impl Passes<'_> {
 
     fn close(&mut self, lane: usize) {
         self.found[lane].extend(self.open[lane].take().and_then(|pass| pass.crossing()));
-    }
-
-    fn close_all(&mut self) {
-        (0..self.found.len()).for_each(|lane| self.close(lane));
     }
 }

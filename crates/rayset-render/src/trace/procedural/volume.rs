@@ -97,6 +97,11 @@ impl ProceduralVolume {
         self.field.detail() / self.local_from_world.transform_vector3(ray.direction).length()
     }
 
+    /// The smallest such length along any ray.
+    pub(in crate::trace) fn least_detail_world(&self) -> f64 {
+        self.field.detail() / largest_stretch(&self.local_from_world)
+    }
+
     /// The largest such length along any ray.
     pub(in crate::trace) fn largest_detail_world(&self) -> f64 {
         self.field.detail() * largest_stretch(&self.local_from_world.inverse())

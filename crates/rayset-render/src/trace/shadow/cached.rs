@@ -51,7 +51,7 @@ impl<'a> DeepShadowLookups<'a> {
     pub(super) fn new(world: &'a ShadowWorld, slab_samples: usize) -> Self {
         let maker = TileMaker {
             world,
-            march: March::new(&world.program, slab_samples),
+            march: March::new(&world.program, &world.steps, slab_samples),
             states: [RayState::START; LANES],
             shares: Shares::new(),
             curves: TransmittanceCurves::new(),
@@ -246,22 +246,16 @@ impl TileMaker<'_> {
     ) -> Result<(), Halt> {
         let rays: Vec<(Ray, f64)> = table.map.rays(tile).into_iter().map(|ray| (ray, 0.5)).collect();
         self.curves.begin(rays.len());
-        for group in self.world.steps.groups(access, &self.world.program, &rays)? {
-            let members: Vec<(Ray, f64)> = group.members.iter().map(|&i| rays[i]).collect();
-            let packet = Packet::new(&members, group.step);
-            counts.shadow_rays += members.len() as u64;
-            self.states.fill(RayState::START);
-            let mut tracing = CurveTracing {
-                absorption: &self.world.absorption,
-                packet: &packet,
-                members: &group.members,
-                states: &mut self.states,
-                shares: &mut self.shares,
-                curves: &mut self.curves,
-                counts,
-            };
-            self.march.slabs(access, &packet, &mut tracing)?;
-        }
+        counts.shadow_rays += rays.len() as u64;
+        self.states.fill(RayState::START);
+        let mut tracing = CurveTracing {
+            absorption: &self.world.absorption,
+            states: &mut self.states,
+            shares: &mut self.shares,
+            curves: &mut self.curves,
+            counts,
+        };
+        self.march.slabs(access, &rays, &mut tracing)?;
         self.curves.encode(bytes);
         Ok(())
     }
@@ -270,9 +264,6 @@ impl TileMaker<'_> {
 /// The transmittance along the rays of a packet, while they are traced.
 struct CurveTracing<'t> {
     absorption: &'t Absorption,
-    packet: &'t Packet,
-    /// The ray of the tile that each lane is.
-    members: &'t [usize],
     states: &'t mut [RayState; LANES],
     shares: &'t mut Shares,
     curves: &'t mut TransmittanceCurves,
@@ -280,18 +271,24 @@ struct CurveTracing<'t> {
 }
 
 impl SlabVisitor for CurveTracing<'_> {
-    fn remaining(&self) -> Option<Remaining> {
-        self.absorption.remaining(self.packet, self.states)
+    fn remaining(&self, packet: &Packet) -> Option<Remaining> {
+        self.absorption.remaining(packet, self.states)
     }
 
     fn counts(&mut self) -> &mut RenderCounts {
         self.counts
     }
 
-    fn sampled(&mut self, slab: Slab, going: u64, node: &mut NodeSamples) -> Result<u64, Halt> {
+    fn sampled(
+        &mut self,
+        packet: &Packet,
+        slab: Slab,
+        going: u64,
+        node: &mut NodeSamples,
+    ) -> Result<u64, Halt> {
         let before = self.states.map(|state| state.transmittance as f32);
-        let going = self.absorption.absorb(self.packet, slab, node, going, self.states, self.shares);
-        each_lane(self.shares.lanes(), |lane| self.extend(slab, lane, before[lane]));
+        let going = self.absorption.absorb(packet, slab, node, going, self.states, self.shares);
+        each_lane(self.shares.lanes(), |lane| self.extend(packet, slab, lane, before[lane]));
         Ok(going)
     }
 }
@@ -299,8 +296,7 @@ impl SlabVisitor for CurveTracing<'_> {
 impl CurveTracing<'_> {
     /// Appends the samples of a slab to the curve of a ray. Each sample absorbs its light over one
     /// step, centred at the sample.
-    fn extend(&mut self, slab: Slab, lane: usize, before: f32) {
-        let (packet, curve) = (self.packet, self.members[lane]);
+    fn extend(&mut self, packet: &Packet, slab: Slab, lane: usize, before: f32) {
         let (mut left, step) = (before, packet.step_world());
         let mut samples = self.shares.samples[lane];
         while samples != 0 {
@@ -310,11 +306,11 @@ impl CurveTracing<'_> {
             let (near, far) = ((t - 0.5 * step) as f32, (t + 0.5 * step) as f32);
             // If the ray has crossed empty space, the transmittance has not changed since the last
             // knot.
-            if self.curves.last(curve).is_none_or(|x| x < near) {
-                self.curves.push(curve, (near, left));
+            if self.curves.last(lane).is_none_or(|x| x < near) {
+                self.curves.push(lane, (near, left));
             }
             left = self.shares.behind[lane].0[j];
-            self.curves.push(curve, (far, left));
+            self.curves.push(lane, (far, left));
         }
     }
 }

@@ -29,6 +29,8 @@ struct ToLight {
     ray: Ray,
     /// The ray's sample offset, in steps.
     sample_offset: f64,
+    /// The step at the sample; world space.
+    step_world: f64,
     /// Distance of the light; infinite for a directional light.
     light: f64,
     lane: usize,
@@ -40,7 +42,7 @@ impl<'a> ShadowRays<'a> {
     pub(super) fn new(world: &'a ShadowWorld, slab_samples: usize) -> Self {
         Self {
             world,
-            march: March::new(&world.program, slab_samples),
+            march: March::new(&world.program, &world.steps, slab_samples),
             states: [RayState::START; LANES],
             shares: Shares::new(),
         }
@@ -108,43 +110,34 @@ impl<'a> ShadowRays<'a> {
         if rays.is_empty() {
             return Ok(());
         }
-        let primary: Vec<(Ray, f64)> = rays.iter().map(|r| (r.ray, r.sample_offset)).collect();
-        for group in self.world.steps.groups(access, &self.world.program, &primary)? {
-            for members in coherent_groups(|i| &primary[i].0, group.members, group.step) {
-                let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
-                self.trace(access, &rays, group.step, counts)?;
-                for (place, to) in rays.iter().enumerate() {
-                    rows[to.lane].0[to.j] = self.states[place].transmittance as f32;
-                }
+        let all = (0..rays.len()).collect();
+        for members in coherent_groups(|i| &rays[i].ray, all, rays[0].step_world) {
+            let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
+            self.trace(access, &rays, counts)?;
+            for (place, to) in rays.iter().enumerate() {
+                rows[to.lane].0[to.j] = self.states[place].transmittance as f32;
             }
         }
         Ok(())
     }
 
-    /// Leaves the transmittance of each ray in its state. A ray's first sample is (½ + offset)
-    /// steps from its start, so that no sample shadows itself.
-    fn trace(
-        &mut self,
-        access: Access<'_>,
-        rays: &[ToLight],
-        step: f64,
-        counts: &mut RenderCounts,
-    ) -> Result<(), Halt> {
-        let shifted: Vec<(Ray, f64)> =
-            rays.iter().map(|r| (Ray { origin: r.ray.at(0.5 * step), ..r.ray }, r.sample_offset)).collect();
-        let packet = Packet::new(&shifted, step);
-        let limits: Vec<f64> = rays.iter().map(|r| r.light - 0.5 * step).collect();
+    /// Leaves the transmittance of each ray in its state. A ray begins half a step of its sample
+    /// from there, so that no sample shadows itself.
+    fn trace(&mut self, access: Access<'_>, rays: &[ToLight], counts: &mut RenderCounts) -> Result<(), Halt> {
+        let half = |to: &ToLight| 0.5 * to.step_world;
+        let shifted = |to: &ToLight| (Ray { origin: to.ray.at(half(to)), ..to.ray }, to.sample_offset);
+        let lanes: Vec<(Ray, f64)> = rays.iter().map(shifted).collect();
+        let limits: Vec<f64> = rays.iter().map(|to| to.light - half(to)).collect();
         self.states.fill(RayState::START);
         counts.shadow_rays += rays.len() as u64;
         let mut tracing = LightTracing {
             absorption: &self.world.absorption,
-            packet: &packet,
             limits: &limits,
             states: &mut self.states,
             shares: &mut self.shares,
             counts,
         };
-        self.march.slabs(access, &packet, &mut tracing)?;
+        self.march.slabs(access, &lanes, &mut tracing)?;
         Ok(())
     }
 }
@@ -152,7 +145,6 @@ impl<'a> ShadowRays<'a> {
 /// Rays to a light, while they are traced.
 struct LightTracing<'t> {
     absorption: &'t Absorption,
-    packet: &'t Packet,
     /// How far the light is along each ray; world space.
     limits: &'t [f64],
     states: &'t mut [RayState; LANES],
@@ -161,16 +153,23 @@ struct LightTracing<'t> {
 }
 
 impl SlabVisitor for LightTracing<'_> {
-    fn remaining(&self) -> Option<Remaining> {
-        self.absorption.remaining(self.packet, self.states)
+    fn remaining(&self, packet: &Packet) -> Option<Remaining> {
+        self.absorption.remaining(packet, self.states)
     }
 
     fn counts(&mut self) -> &mut RenderCounts {
         self.counts
     }
 
-    fn sampled(&mut self, slab: Slab, mut going: u64, node: &mut NodeSamples) -> Result<u64, Halt> {
-        let Self { absorption, packet, limits, .. } = *self;
+    fn sampled(
+        &mut self,
+        packet: &Packet,
+        slab: Slab,
+        lanes: u64,
+        node: &mut NodeSamples,
+    ) -> Result<u64, Halt> {
+        let Self { absorption, limits, .. } = *self;
+        let mut going = lanes;
         if !limits.iter().any(|limit| limit.is_finite()) {
             return Ok(absorption.absorb(packet, slab, node, going, self.states, self.shares));
         }
@@ -181,7 +180,7 @@ impl SlabVisitor for LightTracing<'_> {
                 going &= !(1 << lane);
             }
         }
-        let reached = packet.all() & !going;
+        let reached = lanes & !going;
         let absorbing = going | reached & node.touched;
         Ok(going & absorption.absorb(packet, slab, node, absorbing, self.states, self.shares))
     }
@@ -226,6 +225,7 @@ fn to_light(
     Some(ToLight {
         ray: Ray { origin, direction },
         sample_offset: packet.sample_offset(lane),
+        step_world: packet.step_world(),
         light: distance,
         lane,
         j,

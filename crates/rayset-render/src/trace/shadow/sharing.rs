@@ -15,6 +15,8 @@ use crate::trace::node_samples::each_lane;
 const RUN_SAMPLES: u64 = 8;
 /// The largest part of a ray that takes the shadow of one of its samples.
 const LARGEST_SHARE: f32 = LARGEST_DOUBT;
+/// From which bit on the level stands in the number of a run.
+const LEVEL_BIT: u32 = 56;
 /// No run.
 const NONE: u64 = u64::MAX;
 
@@ -62,7 +64,9 @@ impl SharedShadows {
             while samples != 0 {
                 let j = samples.trailing_zeros() as usize;
                 samples &= samples - 1;
-                let run = (slab.first + j as u64) / RUN_SAMPLES;
+                // The level is part of a run's number: samples of two are never of one run.
+                let number = (slab.first + j as u64) / RUN_SAMPLES;
+                let run = number | (u64::from(slab.level) << LEVEL_BIT);
                 let share = shares.share[lane].0[j];
                 if ray.run == run && share <= ray.left {
                     ray.left -= share;
@@ -117,7 +121,7 @@ mod tests {
                         slab.share[3].0[j] = share;
                         slab.samples[3] |= u32::from(share > 0.0) << j;
                     }
-                    shared.choose(Slab { first, samples: some.len() }, &slab);
+                    shared.choose(Slab { first, samples: some.len(), level: 0 }, &slab);
                     // A sample's shadow is its number.
                     let mut rows = vec![SampleRow([f32::NAN; 32]); LANES];
                     for j in (0..some.len()).filter(|j| shared.computed[3] >> j & 1 == 1) {

@@ -1,0 +1,370 @@
+//! The details of a cloud: the nodes of its octree, groups of points, and points.
+//!
+//! A node whose points all ask for about the same steps, or that is hardly wider than a cell of the
+//! finest of them, is a detail of their least radius, within its bounds. Of others, groups of
+//! [`GROUP_POINTS`] points are, which follow each other in a run, each of its least radius, within
+//! the box around its spheres of influence. If a group's points are scattered, most rays that meet
+//! its box meet no point: then a ray has a detail where it passes through one.
+
+use super::chords::{Chord, Part, Place};
+use super::local_rays::{Clipped, LocalRays};
+use super::{ASKED_THEMSELVES, CloudPlacement, Packet, SCATTERED, StepRule};
+use crate::field::LANES;
+use crate::trace::access::{Access, Halt};
+use crate::trace::cloud::{RetainedNodes, each_own_page, run_bounds};
+use crate::trace::node_samples::each_lane;
+use rayset_base::geometry::{Aabb, DVec3};
+use rayset_base::nearest_first::NearestFirst;
+use rayset_files::octree::layout::RUN_POINTS;
+use rayset_files::octree::node::Node;
+use rayset_files::octree::page::Run;
+use rayset_files::octree::walk::{Visit, Visitor, Walk};
+
+/// Points of a run that are a detail together: few enough that their box is not much larger than
+/// the spheres in it.
+const GROUP_POINTS: usize = 16;
+
+/// A node no wider than so many cells of the steps that its finest points ask for is not divided.
+const LONGEST_WHOLE: f64 = 2.0;
+
+/// What the nodes ahead of a packet take, as measured.
+const AHEAD_BYTES: usize = 16 << 10;
+
+/// The rays of a packet in a cloud, and the nodes whose details they have not come to yet.
+pub(super) struct CloudDetails {
+    rays: LocalRays,
+    /// For each ray, where it is within the bounds of the object.
+    within: Vec<Option<(f64, f64)>>,
+    ahead: Ahead,
+    walk: Walk,
+}
+
+/// Nodes that were met.
+#[derive(Default)]
+struct Ahead {
+    /// By the first tick that they may reach.
+    nodes: NearestFirst<u64, MetNode>,
+    /// Those that do not matter in the part that is looked at, but may in another.
+    aside: Vec<(u64, MetNode)>,
+}
+
+#[derive(Clone, Copy)]
+struct MetNode {
+    node: Node,
+    /// Its box, as far as it is in those of the nodes above it: rounded, it may be larger. So a ray
+    /// that comes to it comes to them, and who else is in the packet does not matter.
+    bounds: Aabb,
+    /// The last tick that it may reach.
+    last: u64,
+}
+
+impl CloudDetails {
+    /// Bytes, with lists as long as they mostly become.
+    pub(super) const BYTES: usize =
+        size_of::<Self>() + LocalRays::BYTES + LANES * size_of::<Option<(f64, f64)>>() + AHEAD_BYTES;
+
+    /// Starts at the root.
+    /// `bounds` are those of the object, world space.
+    pub(super) fn begin(place: Place<'_>, cloud: &CloudPlacement, bounds: &Aabb) -> Result<Self, Halt> {
+        let rays = LocalRays::new(place.rays, cloud, place.program.simd);
+        let within = place.rays.iter().map(|ray| bounds.clip(ray)).collect();
+        let mut details = Self { rays, within, ahead: Ahead::default(), walk: Walk::new() };
+        let Self { rays, ahead, walk, .. } = &mut details;
+        let mut meeting = Meeting { packet: place.packet, rule: place.rule, cloud, rays, ahead };
+        let mut nodes = RetainedNodes { access: place.access, cloud };
+        walk.begin(
+            &mut nodes,
+            &mut Looking { meeting: &mut meeting, access: place.access, within: None, search: None },
+        )?;
+        Ok(details)
+    }
+
+    /// Adds the chords of details in a part of the rays, until all rays of `open`, some of those
+    /// that have not ended, have finer steps there, or there are no more details.
+    pub(super) fn look(
+        &mut self,
+        place: Place<'_>,
+        cloud: &CloudPlacement,
+        part: Part,
+        (going, open): (u64, u64),
+        chords: &mut Vec<Chord>,
+    ) -> Result<(), Halt> {
+        let Self { rays, within, ahead, walk } = self;
+        let mut meeting = Meeting { packet: place.packet, rule: place.rule, cloud, rays, ahead };
+        let mut nodes = RetainedNodes { access: place.access, cloud };
+        let search =
+            Some(Search { part, going, open, within, chords, latest: [usize::MAX; LANES], visited: None });
+        let outcome = walk.go_on(
+            &mut nodes,
+            &mut Looking { meeting: &mut meeting, access: place.access, within: None, search },
+        );
+        let Ahead { nodes, aside } = &mut self.ahead;
+        aside.drain(..).for_each(|(first, node)| nodes.push(first, node));
+        outcome
+    }
+}
+
+/// Nodes as rays come to them.
+struct Meeting<'t> {
+    packet: &'t Packet,
+    rule: &'t StepRule,
+    cloud: &'t CloudPlacement,
+    rays: &'t LocalRays,
+    ahead: &'t mut Ahead,
+}
+
+/// What is looked for.
+struct Search<'t> {
+    part: Part,
+    /// Lanes whose rays have not ended, and those of them whose rays are not known to have finer
+    /// steps in the part.
+    going: u64,
+    open: u64,
+    within: &'t [Option<(f64, f64)>],
+    chords: &'t mut Vec<Chord>,
+    /// For each lane, which of them was added last in this search.
+    latest: [usize; LANES],
+    /// The node that is visited.
+    visited: Option<(u64, MetNode)>,
+}
+
+/// The walk to the details in a part of the rays.
+struct Looking<'t, 'm, 'a> {
+    meeting: &'t mut Meeting<'m>,
+    access: Access<'a>,
+    /// The box of the node that is opened.
+    within: Option<Aabb>,
+    search: Option<Search<'t>>,
+}
+
+impl<'a> Visitor<RetainedNodes<'a>> for Looking<'_, '_, 'a> {
+    fn meet(&mut self, node: Node) {
+        let Meeting { packet, cloud, rays, ahead, .. } = &mut *self.meeting;
+        let bounds = node.bounds(cloud.root_cell);
+        let bounds = self.within.map_or(bounds, |within| bounds.intersection(within));
+        if bounds.is_empty() {
+            return;
+        }
+        if let Some((first, last)) = packet.ticks_in(&rays.beam, &bounds) {
+            ahead.nodes.push(first, MetNode { node, bounds, last });
+        }
+    }
+
+    fn next(&mut self) -> Option<Node> {
+        let search = self.search.as_mut()?;
+        while search.open != 0 {
+            let (first, met) = self.meeting.ahead.nodes.pop_before(search.part.cell.end_tick())?;
+            let finest = self.meeting.finest_in(&met.node);
+            if finest >= 0 || met.last < search.part.cell.first_tick() {
+                continue;
+            }
+            if finest >= search.part.k {
+                self.meeting.ahead.aside.push((first, met));
+                continue;
+            }
+            search.visited = Some((first, met));
+            return Some(met.node);
+        }
+        None
+    }
+
+    fn visit(&mut self, node: &Node, walk: &mut Walk, _: &mut RetainedNodes<'a>) -> Result<Visit, Halt> {
+        let Some(search) = &mut self.search else { return Ok(Visit::Stop) };
+        let rays = self.meeting.rays;
+        let Some(visited) = search.visited.take() else { return Ok(Visit::Stop) };
+        let bounds = visited.1.bounds;
+        let near = rays.clip(&bounds, search.going);
+        if near.lanes & search.open == 0 {
+            self.meeting.ahead.aside.push(visited);
+            return Ok(Visit::Skip);
+        }
+        self.within = Some(bounds);
+        self.meeting.add_own(self.access, (node, &bounds), &near, walk, search)?;
+        Ok(Visit::Open)
+    }
+}
+
+impl Search<'_> {
+    /// Adds the part of a chord that is within the bounds of the object.
+    fn add(&mut self, mut chord: Chord) {
+        let Some((enter, exit)) = self.within[usize::from(chord.lane)] else { return };
+        (chord.enter, chord.exit) = (chord.enter.max(enter), chord.exit.min(exit));
+        if chord.enter > chord.exit {
+            return;
+        }
+        if self.part.is_refined_by(&chord) {
+            self.open &= !(1 << chord.lane);
+        }
+        // Those that follow each other mostly overlap: together they are one.
+        if let Some(last) = self.chords.get_mut(self.latest[usize::from(chord.lane)])
+            && last.k == chord.k
+            && last.enter <= chord.exit
+            && chord.enter <= last.exit
+        {
+            (last.enter, last.exit) = (last.enter.min(chord.enter), last.exit.max(chord.exit));
+            return;
+        }
+        self.latest[usize::from(chord.lane)] = self.chords.len();
+        self.chords.push(chord);
+    }
+}
+
+impl Meeting<'_> {
+    /// The least k that a node and what is below it ask for on any ray.
+    fn finest_in(&self, node: &Node) -> i32 {
+        self.rule.scale.of(f64::from(node.radius_min) / self.rays.stretches.1)
+    }
+
+    /// Adds the chords of a node's own points.
+    fn add_own(
+        &self,
+        access: Access<'_>,
+        (node, bounds): (&Node, &Aabb),
+        near: &Clipped,
+        walk: &mut Walk,
+        search: &mut Search<'_>,
+    ) -> Result<(), Halt> {
+        let Self { rule: StepRule { scale, .. }, cloud, rays, .. } = self;
+        let own = if node.child_mask == 0 {
+            f64::from(node.radius_min)
+        } else if node.own.runs > 0 {
+            // Own points of an inner node are wider than the cells of its children.
+            let cell = cloud.root_cell.size * 2_f64.powi(-i32::from(node.level) - 1);
+            f64::from(cell as f32).max(f64::from(node.radius_min))
+        } else {
+            return Ok(());
+        };
+        if scale.of(own / rays.stretches.1) >= 0 {
+            return Ok(());
+        }
+        // Of all rays together: what is divided must not depend on who else is in the packet.
+        let stretch = cloud.least_stretch();
+        let k = scale.of(own / stretch);
+        let is_one = k + 1 >= scale.of(f64::from(node.radius_max) / stretch);
+        let is_short = bounds.size().max_element() <= LONGEST_WHOLE * self.rule.cell_world(k) * stretch;
+        if (is_one || is_short) && !self.is_scattered(bounds, own) {
+            self.add_box(near, own, search);
+            return Ok(());
+        }
+        if !walk.may_look_at_runs_of(node, cloud.header()) {
+            return Err(cloud.broken(node.own.first_page).into());
+        }
+        let mut groups = RunGroups::new(cloud);
+        each_own_page(access, cloud, node, |_, points, runs| {
+            for index in runs {
+                let near = rays.clip(&run_bounds(cloud, points, index), near.lanes).lanes;
+                if near != 0 {
+                    groups.decode(&points.run(index));
+                    groups.each(|points, radii| self.add_group(points, radii, bounds, near, search));
+                }
+            }
+        })
+    }
+
+    /// Whether most rays that meet a box of points are expected to meet none of them, and steps for
+    /// them are far finer than others.
+    fn is_scattered(&self, bounds: &Aabb, radius: f64) -> bool {
+        let k = self.rule.scale.of(radius / self.cloud.least_stretch());
+        bounds.size().max_element() > SCATTERED * radius && k <= ASKED_THEMSELVES
+    }
+
+    /// Adds the chords of rays through a box, as a detail of a radius.
+    fn add_box(&self, clipped: &Clipped, radius: f64, search: &mut Search<'_>) {
+        let (least, most) = self.rays.stretches;
+        let of_all = (least == most).then(|| self.rule.scale.of(radius / most));
+        if of_all == Some(0) {
+            return;
+        }
+        each_lane(clipped.lanes, |lane| {
+            let k = of_all.unwrap_or_else(|| self.rule.scale.of(radius / self.rays.stretch[lane]));
+            if k < 0 {
+                let (enter, exit) = (clipped.enter[lane], clipped.exit[lane]);
+                search.add(Chord { lane: lane as u8, k: k as i8, enter, exit });
+            }
+        });
+    }
+
+    /// Adds the chords of a group of points, in the cloud's space.
+    fn add_group(&self, points: &[DVec3], radii: &[f32], of_node: &Aabb, near: u64, search: &mut Search<'_>) {
+        let (mut bounds, mut least) = (Aabb::EMPTY, f32::INFINITY);
+        for (&point, &radius) in points.iter().zip(radii) {
+            bounds.include(point - f64::from(radius));
+            bounds.include(point + f64::from(radius));
+            least = least.min(radius);
+        }
+        let bounds = bounds.intersection(*of_node);
+        if bounds.is_empty() {
+            return;
+        }
+        let (least, near) = (f64::from(least), self.rays.clip(&bounds, near));
+        if self.is_scattered(&bounds, least) {
+            points
+                .iter()
+                .zip(radii)
+                .for_each(|(&point, &radius)| self.add_point(point, radius, &near, search));
+        } else {
+            self.add_box(&near, least, search);
+        }
+    }
+
+    /// Adds the chords of rays through the sphere of influence of a point, in the cloud's space, as
+    /// far as they are in the box of its group.
+    fn add_point(&self, point: DVec3, radius: f32, group: &Clipped, search: &mut Search<'_>) {
+        let radius = f64::from(radius);
+        each_lane(group.lanes, |lane| {
+            // The unit direction in local space, for the squared distance to the ray's line.
+            let (ray, stretch) = (&self.rays.rays[lane], self.rays.stretch[lane]);
+            let (to, direction) = (point - ray.origin, ray.direction / stretch);
+            let along = to.dot(direction);
+            let inside = radius * radius - (to - direction * along).length_squared();
+            let k = self.rule.scale.of(radius / stretch);
+            if inside > 0.0 && along > -radius && k < 0 {
+                let half = inside.sqrt();
+                let enter = ((along - half) / stretch).max(group.enter[lane]);
+                let exit = ((along + half) / stretch).min(group.exit[lane]);
+                if enter <= exit {
+                    search.add(Chord { lane: lane as u8, k: k as i8, enter, exit });
+                }
+            }
+        });
+    }
+}
+
+/// The points of a run, in groups.
+struct RunGroups<'t> {
+    cloud: &'t CloudPlacement,
+    len: usize,
+    points: [DVec3; RUN_POINTS],
+    offsets: [[f64; RUN_POINTS]; 3],
+    radii: [f32; RUN_POINTS],
+}
+
+impl<'t> RunGroups<'t> {
+    fn new(cloud: &'t CloudPlacement) -> Self {
+        Self {
+            cloud,
+            len: 0,
+            points: [DVec3::ZERO; RUN_POINTS],
+            offsets: [[0.0; RUN_POINTS]; 3],
+            radii: [cloud.header().radius.min(); RUN_POINTS],
+        }
+    }
+
+    fn decode(&mut self, run: &Run<'_>) {
+        self.len = run.head.len();
+        if let Some(stored) = run.radii(self.cloud.header()) {
+            self.radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
+        }
+        run.decode_local_f64(self.cloud.root_cell, &mut self.offsets);
+        let center = run.head.position_bounds(self.cloud.root_cell).center();
+        let [x, y, z] = &self.offsets;
+        for (i, point) in self.points.iter_mut().enumerate().take(self.len) {
+            *point = center + DVec3::new(x[i], y[i], z[i]);
+        }
+    }
+
+    fn each(&self, mut visit: impl FnMut(&[DVec3], &[f32])) {
+        let (points, radii) = (&self.points[..self.len], &self.radii[..self.len]);
+        points.chunks(GROUP_POINTS).zip(radii.chunks(GROUP_POINTS)).for_each(|(p, r)| visit(p, r));
+    }
+}
