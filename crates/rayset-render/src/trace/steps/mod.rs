@@ -3,9 +3,7 @@
 //! Steps are δ₀·2^k. A ray is cut into *cells* of [`SLAB_SAMPLES`] steps each: those of the
 //! coarsest steps first, of which one begins wherever the distance from the ray's origin is a
 //! multiple of their length. A cell in which some detail asks for finer steps is cut into halves,
-//! and so on, so that steps are as fine as the finest detail in their cell asks for and no finer
-//! than they have to be elsewhere. This is a function of ray and scene alone, whatever packet the
-//! ray is traced in.
+//! and so on. This is a function of ray and scene alone, whatever packet the ray is traced in.
 //!
 //! Details are objects, where the ray is within their bounds; within a cloud, nodes of its octree,
 //! groups of 16 points, and single points ([`octree`]). They are looked for cell by cell
