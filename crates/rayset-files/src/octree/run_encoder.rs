@@ -1,6 +1,6 @@
 //! Encoding runs of points, as point pages have them.
 
-use super::layout::RootCell;
+use super::layout::{RUN_POINTS, RootCell};
 use super::page::{
     COARSEST_STEP, Encoding, ORIGIN_STEPS, RunHead, STEP_CODES, round_up_to_16_bits, step_fraction,
 };
@@ -65,24 +65,23 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     };
     let unit = step(step_code) * encoding.extent_steps();
 
-    let (mut error_squared, mut worst_axis) = (0.0_f64, 0.0_f64);
     let start = data.len();
+    let (mut errors_squared, mut worst_axis) = ([0.0; RUN_POINTS], 0.0_f64);
     for axis in 0..3 {
-        for p in run.position {
-            let offset = ((p[axis] - corner[axis]) / step(step_code)).round();
+        if encoding == Encoding::F64 {
+            run.position.iter().for_each(|p| data.extend_from_slice(&p[axis].to_le_bytes()));
+            continue;
+        }
+        let step = step(step_code);
+        for (p, squared) in run.position.iter().zip(&mut errors_squared) {
+            let offset = nearest_whole((p[axis] - corner[axis]) / step);
             match encoding {
                 Encoding::U16 => data.extend_from_slice(&(offset as u16).to_le_bytes()),
-                Encoding::U32 => data.extend_from_slice(&(offset as u32).to_le_bytes()),
-                Encoding::F64 => data.extend_from_slice(&p[axis].to_le_bytes()),
+                _ => data.extend_from_slice(&offset.to_le_bytes()),
             }
-        }
-    }
-    if encoding != Encoding::F64 {
-        for p in run.position {
-            let p = DVec3::from_array(*p);
-            let stored = corner + ((p - corner) / step(step_code)).round() * step(step_code);
-            error_squared = error_squared.max(stored.distance_squared(p));
-            worst_axis = worst_axis.max((stored - p).abs().max_element());
+            let error = corner[axis] + f64::from(offset) * step - p[axis];
+            *squared += error * error;
+            worst_axis = worst_axis.max(error.abs());
         }
     }
     data.resize(start + (data.len() - start).next_multiple_of(4), 0);
@@ -114,8 +113,15 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
         offset_words: 0,
     };
     // Squares of errors below 1e-154 underflow, but a nonzero error must not be reported as zero.
-    let position_error = error_squared.sqrt().max(worst_axis);
+    let position_error = errors_squared.iter().copied().fold(0.0, f64::max).sqrt().max(worst_axis);
     EncodedRun { head, position_error, position_error_radii: position_error / radius_min }
+}
+
+/// The nearest whole number, halves upwards; below 0 it is 0. Without the processor's own
+/// instruction, which not all of them have, `f64::round` is a call.
+fn nearest_whole(x: f64) -> u32 {
+    let below = x as u32;
+    below.saturating_add(u32::from(x - f64::from(below) >= 0.5))
 }
 
 /// The largest code whose step is at least `step`.
@@ -126,4 +132,23 @@ pub(super) fn step_code_for(step: f64, root_size: f64) -> u8 {
         code -= 1;
     }
     code as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::nearest_whole;
+
+    #[test]
+    fn offsets_are_rounded_as_round_does() {
+        let wholes = [0, 1, 2, 254, 65_278, 65_279, 1 << 24, 4_277_999_999, u32::MAX].map(f64::from);
+        let halves = wholes.map(|whole| whole + 0.5);
+        for x in wholes.into_iter().chain(halves) {
+            for x in [x.next_down().next_down(), x.next_down(), x, x.next_up()] {
+                assert_eq!(nearest_whole(x), x.round() as u32, "{x:e}");
+            }
+        }
+        for x in [-1e9, -1.0, -0.7, -0.0, 1e300, f64::INFINITY, f64::NEG_INFINITY, f64::NAN] {
+            assert_eq!(nearest_whole(x), x.round() as u32, "{x:e}");
+        }
+    }
 }

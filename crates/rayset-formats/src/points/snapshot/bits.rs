@@ -44,6 +44,14 @@ macro_rules! bits {
                 }
             }
 
+            /// The usual order of bytes, all numbers at once; numbers in the other one by one.
+            fn decode_vec(raw: &[u8], datatype: &Datatype, count: usize) -> Option<Result<Vec<Self>, Error>> {
+                let (words, _) = raw.as_chunks();
+                let usual = layout(datatype) == Some((size_of::<$word>(), ByteOrder::LittleEndian));
+                (usual && words.len() == count)
+                    .then(|| Ok(words.iter().map(|&bytes| Self($word::from_le_bytes(bytes))).collect()))
+            }
+
             fn element_size(_: &Datatype) -> usize {
                 size_of::<$word>()
             }
@@ -68,6 +76,14 @@ mod tests {
         assert_eq!(read(number(4, ByteOrder::LittleEndian)), Some(0x7856_3412));
         assert_eq!(read(number(4, ByteOrder::BigEndian)), Some(0x1234_5678));
         assert_eq!(read(number(2, ByteOrder::LittleEndian)), None);
+        let all = |datatype, count| {
+            let words = Bits::<u16>::decode_vec(&bytes, &datatype, count)?.ok()?;
+            Some(words.into_iter().map(|Bits(bits)| bits).collect::<Vec<_>>())
+        };
+        assert_eq!(all(number(2, ByteOrder::LittleEndian), 2), Some(vec![0x3412, 0x7856]));
+        assert_eq!(all(number(2, ByteOrder::LittleEndian), 3), None);
+        assert_eq!(all(number(2, ByteOrder::BigEndian), 2), None);
+        assert_eq!(all(number(4, ByteOrder::LittleEndian), 2), None);
         assert!(Bits::<u64>::from_bytes(&bytes, &number(8, ByteOrder::LittleEndian)).is_err());
         assert!(Bits::<u16>::native_copy_compatible(&Bits::<u16>::hdf5_type()));
         assert!(!Bits::<u32>::native_copy_compatible(&Bits::<u16>::hdf5_type()));
