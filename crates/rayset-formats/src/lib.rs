@@ -4,5 +4,7 @@
 
 mod array_file;
 pub mod points;
+mod refusals;
 pub mod volumes;
 mod vtk_xml;
+mod words;

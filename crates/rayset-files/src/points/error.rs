@@ -81,6 +81,12 @@ pub enum ReadError {
 }
 
 impl ReadError {
+    /// What the system says of a file, as an error in reading it.
+    #[doc(hidden)]
+    pub fn io(path: &Path) -> impl Fn(io::Error) -> Self + Copy + '_ {
+        |source| Self::Io { path: path.to_owned(), source }
+    }
+
     /// What is wrong at a place of a file.
     #[doc(hidden)]
     pub fn malformed(path: &Path, place: Place, what: impl Into<String>) -> Self {

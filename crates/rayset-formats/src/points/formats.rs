@@ -24,7 +24,8 @@ use super::stream::Stream;
 use super::text::TextReader;
 use super::velodyne::VelodyneReader;
 use super::vtk::{self, VtkReader};
-use super::{Place, PointSource, ReadError, geographic, refusals, roles};
+use super::{Place, PointSource, ReadError, geographic, roles};
+use crate::refusals;
 use rayset_base::setters;
 use rayset_store::storage::input_file::{self, InputFile, Named};
 
@@ -66,91 +67,81 @@ struct Format {
     open: fn(&Path, &ReadOptions) -> Opened,
 }
 
+/// A reader's points as those of any.
+fn boxed<S: PointSource + 'static>(source: Result<S, ReadError>) -> Opened {
+    Ok(Box::new(source?))
+}
+
+/// Opens with a reader that is compiled only with a feature of the library.
+macro_rules! compiled_with {
+    ($feature:literal, $path:ident, $options:ident, $opened:expr) => {{
+        let _ = $options;
+        #[cfg(feature = $feature)]
+        let opened = boxed($opened);
+        #[cfg(not(feature = $feature))]
+        let opened = Err(ReadError::NotCompiled { path: $path.to_owned(), feature: $feature });
+        opened
+    }};
+}
+
+const fn format(
+    extensions: &'static [&'static str],
+    begins: fn(&[u8]) -> bool,
+    open: fn(&Path, &ReadOptions) -> Opened,
+) -> Format {
+    Format { extensions, begins, open }
+}
+
+/// Files that begin as those of other formats do, with anything: their names alone tell.
+const BY_NAME: fn(&[u8]) -> bool = |_| false;
+
 /// In this order: the first that recognizes the beginning of a file reads it.
 const FORMATS: &[Format] = &[
-    Format {
-        extensions: &["ply"],
-        begins: |head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"),
-        open: open_ply,
-    },
-    Format {
-        extensions: &["spz"],
-        begins: SpzReader::begins,
-        open: |path, _| Ok(Box::new(SpzReader::open(path)?)),
-    },
-    Format {
-        extensions: &["splat"],
-        // Nothing but records.
-        begins: |_| false,
-        open: |path, _| Ok(Box::new(SplatReader::open(path)?)),
-    },
-    Format {
-        extensions: &["ksplat"],
-        // A version alone.
-        begins: |_| false,
-        open: |path, _| Ok(Box::new(KsplatReader::open(path)?)),
-    },
-    Format {
-        extensions: &["stl"],
-        // Binary files begin with anything, even with this word.
-        begins: |head| head.starts_with(b"solid") && head.windows(12).any(|part| part == b"facet normal"),
-        open: |path, options| Ok(Box::new(MeshSource::survey(path, MeshFormat::Stl, options.mesh_points)?)),
-    },
-    Format {
-        extensions: &["obj"],
-        // Statements in any order.
-        begins: |_| false,
-        open: open_obj,
-    },
-    Format {
-        extensions: &["off"],
-        begins: begins_as_off,
-        open: |path, options| {
-            let mesh = MeshSource::survey(path, MeshFormat::Off, options.mesh_points)?;
-            Ok(Box::new(mesh))
-        },
-    },
-    Format {
-        extensions: &["gadget", "gadget2"],
-        begins: gadget::begins,
-        open: |path, options| Ok(Box::new(GadgetReader::open(path, options.particles.as_deref())?)),
-    },
-    Format {
-        extensions: &["npy", "npz"],
-        begins: npy::begins,
-        open: |path, options| Ok(Box::new(NpyReader::open(path, options.text_columns.as_deref())?)),
-    },
-    Format { extensions: &["hdf5", "h5", "hdf"], begins: is_hdf5, open: open_hdf5 },
-    Format {
-        extensions: &["vtk", "vtp", "vtu"],
-        begins: vtk::begins,
-        open: |path, _| Ok(Box::new(VtkReader::open(path)?)),
-    },
-    Format { extensions: &["e57"], begins: |head| head.starts_with(b"ASTM-E57"), open: open_e57 },
-    Format { extensions: &["las", "laz"], begins: |head| head.starts_with(b"LASF"), open: open_las },
-    Format {
-        extensions: &["pcd"],
-        begins: pcd::begins,
-        open: |path, _| Ok(Box::new(PcdReader::open(path)?)),
-    },
-    Format {
-        extensions: &["ptx"],
-        begins: ptx::begins,
-        open: |path, _| Ok(Box::new(PtxReader::open(path)?)),
-    },
-    Format {
-        extensions: &["bin", "velodyne"],
-        // Nothing but records.
-        begins: |_| false,
-        open: |path, _| Ok(Box::new(VelodyneReader::open(path)?)),
-    },
-    Format {
-        extensions: &["xyz", "txt", "csv", "asc", "pts"],
-        // Any text may be a table; others may be, too.
-        begins: |_| false,
-        open: |path, options| Ok(Box::new(TextReader::open(path, options.text_columns.as_deref())?)),
-    },
+    format(&["ply"], |head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"), open_ply),
+    format(&["spz"], SpzReader::begins, |path, _| boxed(SpzReader::open(path))),
+    format(&["splat"], BY_NAME, |path, _| boxed(SplatReader::open(path))),
+    format(&["ksplat"], BY_NAME, |path, _| boxed(KsplatReader::open(path))),
+    format(&["stl"], begins_as_stl, |path, options| {
+        boxed(MeshSource::survey(path, MeshFormat::Stl, options.mesh_points))
+    }),
+    format(&["obj"], BY_NAME, open_obj),
+    format(&["off"], begins_as_off, |path, options| {
+        boxed(MeshSource::survey(path, MeshFormat::Off, options.mesh_points))
+    }),
+    format(&["gadget", "gadget2"], gadget::begins, |path, options| {
+        boxed(GadgetReader::open(path, options.particles.as_deref()))
+    }),
+    format(&["npy", "npz"], npy::begins, |path, options| {
+        boxed(NpyReader::open(path, options.text_columns.as_deref()))
+    }),
+    format(&["hdf5", "h5", "hdf"], is_hdf5, |path, options| {
+        compiled_with!("hdf5", path, options, {
+            SnapshotReader::open(path, options.particles.as_deref(), options.text_columns.as_deref())
+        })
+    }),
+    format(&["vtk", "vtp", "vtu"], vtk::begins, |path, _| boxed(VtkReader::open(path))),
+    format(
+        &["e57"],
+        |head| head.starts_with(b"ASTM-E57"),
+        |path, options| compiled_with!("e57", path, options, E57Reader::open(path)),
+    ),
+    format(
+        &["las", "laz"],
+        |head| head.starts_with(b"LASF"),
+        |path, options| compiled_with!("las", path, options, LasReader::open(path)),
+    ),
+    format(&["pcd"], pcd::begins, |path, _| boxed(PcdReader::open(path))),
+    format(&["ptx"], ptx::begins, |path, _| boxed(PtxReader::open(path))),
+    format(&["bin", "velodyne"], BY_NAME, |path, _| boxed(VelodyneReader::open(path))),
+    format(&["xyz", "txt", "csv", "asc", "pts"], BY_NAME, |path, options| {
+        boxed(TextReader::open(path, options.text_columns.as_deref()))
+    }),
 ];
+
+/// Binary files of STL begin with anything, even with this word.
+fn begins_as_stl(head: &[u8]) -> bool {
+    head.starts_with(b"solid") && head.windows(12).any(|part| part == b"facet normal")
+}
 
 /// Meshes in PLY with fewer vertices than this are shapes, whose faces are what they are; those
 /// with more are of scans, whose vertices are the points that were measured.
@@ -177,9 +168,8 @@ fn has_color(names: &[&str]) -> bool {
 
 /// Opens the vertices of a PLY file, which may be Gaussians, or its faces.
 fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
     // A pipe is read only once.
-    if matches!(input_file::look(path).map_err(io)?, Named::File(_)) {
+    if matches!(input_file::look(path).map_err(ReadError::io(path))?, Named::File(_)) {
         let (header, _) = Body::open(path)?;
         let vertex = header.elements.iter().find(|element| element.name == "vertex");
         let names: Vec<&str> = vertex.iter().flat_map(|v| &v.properties).map(Property::name).collect();
@@ -231,42 +221,11 @@ fn is_hdf5(head: &[u8]) -> bool {
     [0, 512, 1024, 2048].iter().any(|&at| head.get(at..).is_some_and(|h| h.starts_with(b"\x89HDF\r\n\x1a\n")))
 }
 
-#[cfg(feature = "hdf5")]
-fn open_hdf5(path: &Path, options: &ReadOptions) -> Opened {
-    let (particles, names) = (options.particles.as_deref(), options.text_columns.as_deref());
-    Ok(Box::new(SnapshotReader::open(path, particles, names)?))
-}
-
-#[cfg(not(feature = "hdf5"))]
-fn open_hdf5(path: &Path, _: &ReadOptions) -> Opened {
-    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "hdf5" })
-}
-
 /// Formats that are looked for within gzip and zstd, by their first extensions: those that are read
 /// from start to end.
 const LOOKED_THROUGH: &[&str] = &["ply", "pcd", "ptx", "xyz"];
 /// Formats, by their first extensions, of which compression is a part.
 const COMPRESSED: &[&str] = &["spz"];
-
-#[cfg(feature = "las")]
-fn open_las(path: &Path, _: &ReadOptions) -> Opened {
-    Ok(Box::new(LasReader::open(path)?))
-}
-
-#[cfg(not(feature = "las"))]
-fn open_las(path: &Path, _: &ReadOptions) -> Opened {
-    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "las" })
-}
-
-#[cfg(feature = "e57")]
-fn open_e57(path: &Path, _: &ReadOptions) -> Opened {
-    Ok(Box::new(E57Reader::open(path)?))
-}
-
-#[cfg(not(feature = "e57"))]
-fn open_e57(path: &Path, _: &ReadOptions) -> Opened {
-    Err(ReadError::NotCompiled { path: path.to_owned(), feature: "e57" })
-}
 
 impl ReadOptions {
     /// Endings of the names of files of points, without the dot, in lower case; and those of what
@@ -288,23 +247,52 @@ pub fn open(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Box<dyn Poi
     geographic::in_metres(path, open_as_it_is(path, options)?, || open_as_it_is(path, options))
 }
 
+/// The format that a file begins as.
+fn begun(head: &[u8]) -> Option<&'static Format> {
+    FORMATS.iter().find(|format| (format.begins)(head))
+}
+
+/// The format whose ending a name has.
+fn named(name: &str) -> Option<&'static Format> {
+    let ends = |extension: &&str| name.ends_with(&format!(".{extension}"));
+    FORMATS.iter().find(|format| format.extensions.iter().any(ends))
+}
+
+/// The error for a file of no format that is read.
+fn unknown(path: &Path, head: &[u8]) -> ReadError {
+    let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
+    let advice = refusals::advice(path, head, &known.join(", "));
+    ReadError::UnknownFormat { path: path.to_owned(), advice }
+}
+
+/// Any text may be a table, under any name. `head` begins what is to be read, whose name would be
+/// `inner` if it were not compressed.
+fn open_table(path: &Path, inner: &Path, head: &[u8], options: &ReadOptions) -> Option<Opened> {
+    // Bytes of 0 may follow the last line.
+    let used = head.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+    let is_text = used > 0 && !head[..used].contains(&0) && !refusals::is_recognized(inner, head);
+    let table = is_text.then(|| TextReader::open(path, options.text_columns.as_deref()).ok()).flatten();
+    table.map(|table| boxed(Ok(table)))
+}
+
+fn lower_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().to_lowercase()
+}
+
 /// Opens a pipe, which is read only once: its first bytes tell what it is, or its name, otherwise
 /// it is a table.
 fn open_pipe(path: &Path, options: &ReadOptions) -> Opened {
     let mut stream = Stream::open(path)?;
-    let head = stream.head(HEAD_BYTES).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
-    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let head = stream.head(HEAD_BYTES).map_err(ReadError::io(path))?;
+    let name = lower_name(path);
     let packing = [Packing::Gzip, Packing::Zstd].into_iter().find_map(|p| name.strip_suffix(p.ending()));
-    let inner = packing.unwrap_or(&name);
-    let ends = |extension: &&str| inner.ends_with(&format!(".{extension}"));
-    let named = || FORMATS.iter().find(|format| format.extensions.iter().any(ends));
-    let found = FORMATS.iter().find(|format| (format.begins)(&head)).or_else(named);
+    let found = begun(&head).or_else(|| named(packing.unwrap_or(&name)));
     match found.map(|format| format.extensions[0]) {
-        Some("ply") => Ok(Box::new(PlyReader::of(stream)?)),
-        Some("pcd") => Ok(Box::new(PcdReader::of(stream)?)),
-        Some("ptx") => Ok(Box::new(PtxReader::of(stream)?)),
+        Some("ply") => boxed(PlyReader::of(stream)),
+        Some("pcd") => boxed(PcdReader::of(stream)),
+        Some("ptx") => boxed(PtxReader::of(stream)),
         None | Some("xyz") if !head.is_empty() && !refusals::is_recognized(path, &head) => {
-            Ok(Box::new(TextReader::of(stream, options.text_columns.as_deref())?))
+            boxed(TextReader::of(stream, options.text_columns.as_deref()))
         }
         Some(other) if !head.is_empty() => {
             let what = format!(
@@ -314,11 +302,7 @@ fn open_pipe(path: &Path, options: &ReadOptions) -> Opened {
             );
             Err(ReadError::malformed(path, Place::Byte(0), what))
         }
-        _ => {
-            let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
-            let advice = refusals::advice(path, &head, &known.join(", "));
-            Err(ReadError::UnknownFormat { path: path.to_owned(), advice })
-        }
+        _ => Err(unknown(path, &head)),
     }
 }
 
@@ -327,52 +311,32 @@ fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
         return open_pipe(path, options);
     }
     let head = head(path)?;
-    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
-    let begins = |head: &[u8]| FORMATS.iter().find(|format| (format.begins)(head));
-    let named = |name: &str| {
-        let ends = |extension: &&str| name.ends_with(&format!(".{extension}"));
-        FORMATS.iter().find(|format| format.extensions.iter().any(ends))
-    };
-    let unknown = || {
-        let known: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
-        let advice = refusals::advice(path, &head, &known.join(", "));
-        ReadError::UnknownFormat { path: path.to_owned(), advice }
-    };
+    let name = lower_name(path);
+    let by_name = named(&name);
     if head.is_empty()
         && input_file::is_file(path)
-        && !named(&name).is_some_and(|format| format.extensions.contains(&"txt"))
+        && !by_name.is_some_and(|format| format.extensions.contains(&"txt"))
     {
-        let what = "this file is empty: it was not written, or not copied".to_owned();
-        return Err(named(&name).map_or_else(unknown, |_| ReadError::malformed(path, Place::Byte(0), what)));
+        let what = "this file is empty: it was not written, or not copied";
+        let damaged = by_name.map(|_| ReadError::malformed(path, Place::Byte(0), what));
+        return Err(damaged.unwrap_or_else(|| unknown(path, &head)));
     }
     let Some(packing) = Packing::of(&head) else {
-        if let Some(format) = begins(&head) {
-            return (format.open)(path, options);
-        }
-        if refusals::is_marked(&head) {
-            return Err(unknown());
-        }
         // Names of other files end as those of scans do.
         let is_other = name.ends_with("bin") && refusals::is_recognized(path, &head);
-        if let Some(format) = named(&name).filter(|_| !is_other) {
-            return (format.open)(path, options);
-        }
-        // Any text may be a table, under any name.
-        // Bytes of 0 may follow the last line.
-        let used = head.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
-        let is_text = used > 0 && !head[..used].contains(&0) && !refusals::is_recognized(path, &head);
-        let table = is_text.then(|| TextReader::open(path, options.text_columns.as_deref()).ok()).flatten();
-        return table.map(|table| Box::new(table) as Box<dyn PointSource>).ok_or_else(unknown);
+        let by_name = by_name.filter(|_| !is_other && !refusals::is_marked(&head));
+        return match begun(&head).or(by_name) {
+            Some(format) => (format.open)(path, options),
+            None => open_table(path, path, &head, options).unwrap_or_else(|| Err(unknown(path, &head))),
+        };
     };
     // A format of which compression is a part has files that begin so, or a name of its own.
     let content = unpacked_head(path)?;
     let inner = name.strip_suffix(packing.ending()).unwrap_or(&name);
-    let within = begins(&content).or_else(|| named(inner).filter(|_| inner.len() < name.len()));
-    let Some(format) = begins(&head).or(within).or_else(|| named(&name)) else {
-        // Any text may be a table, under any name.
-        let is_text = !content.contains(&0) && !refusals::is_recognized(Path::new(inner), &content);
-        let table = is_text.then(|| TextReader::open(path, options.text_columns.as_deref()).ok()).flatten();
-        return table.map(|table| Box::new(table) as Box<dyn PointSource>).ok_or_else(unknown);
+    let within = begun(&content).or_else(|| named(inner).filter(|_| inner.len() < name.len()));
+    let Some(format) = begun(&head).or(within).or(by_name) else {
+        let table = open_table(path, Path::new(inner), &content, options);
+        return table.unwrap_or_else(|| Err(unknown(path, &head)));
     };
     let is_within = within.is_some_and(|within| std::ptr::eq(within, format));
     let reads = |formats: &[&str]| formats.contains(&format.extensions[0]);
@@ -389,18 +353,18 @@ fn open_as_it_is(path: &Path, options: &ReadOptions) -> Opened {
 
 /// The first bytes of what a compressed file holds.
 fn unpacked_head(path: &Path) -> Result<Vec<u8>, ReadError> {
-    let mut head = Vec::new();
-    let read = Stream::open(path)?.take(HEAD_BYTES).read_to_end(&mut head);
-    read.map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
-    Ok(head)
+    Stream::open(path)?.head(HEAD_BYTES).map_err(ReadError::io(path))
 }
 
 /// The first bytes of a file. Empty if it is a pipe or a device, whose bytes can be read only once.
 fn head(path: &Path) -> Result<Vec<u8>, ReadError> {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
     let mut head = Vec::new();
-    if matches!(input_file::look(path).map_err(io)?, Named::File(_)) {
-        InputFile::open(path).map_err(io)?.take(HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
+    if matches!(input_file::look(path).map_err(ReadError::io(path))?, Named::File(_)) {
+        InputFile::open(path)
+            .map_err(ReadError::io(path))?
+            .take(HEAD_BYTES)
+            .read_to_end(&mut head)
+            .map_err(ReadError::io(path))?;
     }
     Ok(head)
 }

@@ -62,15 +62,14 @@ impl Lines {
     pub(super) fn of(input: Stream) -> Result<Self, ReadError> {
         let mut lines = Self::after(input, 0, b'\n');
         let path = lines.path().to_owned();
-        let io = |source| ReadError::Io { path: path.clone(), source };
-        let start = held(&mut lines.input).map_err(io)?;
+        let start = held(&mut lines.input).map_err(ReadError::io(&path))?;
         if start.starts_with(b"\xef\xbb\xbf") {
             lines.input.consume(3);
         } else if start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") {
             lines.number = 1;
             return Err(lines.fail("the file is UTF-16, as its byte-order mark says; save it as UTF-8"));
         }
-        lines.end = line_end(held(&mut lines.input).map_err(io)?);
+        lines.end = line_end(held(&mut lines.input).map_err(ReadError::io(&path))?);
         Ok(lines)
     }
 
@@ -86,7 +85,7 @@ impl Lines {
         while self.ahead.len() < most && left > 0 {
             let mut line = Vec::new();
             let read = (&mut self.input).take(left as u64).read_until(self.end, &mut line);
-            if read.map_err(|source| ReadError::Io { path: self.path().to_owned(), source })? == 0 {
+            if read.map_err(ReadError::io(self.path()))? == 0 {
                 break;
             }
             left -= line.len();
@@ -118,9 +117,7 @@ impl Lines {
     pub(super) fn append(&mut self, record: &mut Vec<u8>) -> Result<bool, ReadError> {
         // Room for `\r\n`, which does not count.
         let room = RECORD_LIMIT + 2 - record.len().min(RECORD_LIMIT);
-        let read = self
-            .read_on(room, record)
-            .map_err(|source| ReadError::Io { path: self.input.path().to_owned(), source })?;
+        let read = self.read_on(room, record).map_err(ReadError::io(self.input.path()))?;
         if read == 0 {
             return Ok(false);
         }

@@ -31,8 +31,6 @@ mod ply_write;
 mod ptx;
 mod quiet;
 mod reading;
-mod refusals;
-mod refused_kinds;
 mod siblings;
 #[cfg(feature = "hdf5")]
 mod snapshot;

@@ -1,4 +1,5 @@
-//! The types of particles in snapshots of simulations: their names, and which of them are read.
+//! The types of particles in snapshots of simulations: their names, which of them are read, and
+//! what their columns are made of.
 
 use std::path::{Path, PathBuf};
 
@@ -6,6 +7,17 @@ use super::{Place, ReadError};
 
 /// Largest number of types. GADGET has six; later codes have a few more.
 pub(super) const MOST_TYPES: usize = 16;
+
+/// Where a column comes from.
+#[derive(Clone, PartialEq)]
+pub(super) enum Supply {
+    /// A component of the block or dataset of this name.
+    Stored(String, usize),
+    Mass,
+    Radius,
+    Weight,
+    Kind,
+}
 
 /// Names of the types of GADGET, in order.
 const NAMES: [&str; 6] = ["gas", "dark", "disk", "bulge", "stars", "black-holes"];

@@ -79,7 +79,7 @@ impl Body {
 
     fn io(&self) -> impl Fn(io::Error) -> ReadError + use<> {
         let path = self.input.path().to_owned();
-        move |source| ReadError::Io { path: path.clone(), source }
+        move |source| ReadError::io(&path)(source)
     }
 
     fn ends_early(&self, element: &Element, read: u64) -> ReadError {

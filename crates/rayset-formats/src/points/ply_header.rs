@@ -203,7 +203,7 @@ impl Header {
             lines: 0,
             line_end: b'\n',
         };
-        let start = held(input).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+        let start = held(input).map_err(ReadError::io(path))?;
         if start.starts_with(b"ply\r") && start.get(4).is_some_and(|&byte| byte != b'\n') {
             header.line_end = b'\r';
         }
@@ -214,9 +214,8 @@ impl Header {
         loop {
             let place = Place::Line(header.lines + 1);
             let fail = |what: String| ReadError::malformed(path, place, what);
-            let io = |source| ReadError::Io { path: path.to_owned(), source };
-            header.bytes +=
-                read_line(input, &mut line, HEADER_LIMIT - header.bytes, header.line_end).map_err(io)?;
+            header.bytes += read_line(input, &mut line, HEADER_LIMIT - header.bytes, header.line_end)
+                .map_err(ReadError::io(path))?;
             header.lines += 1;
             let text = String::from_utf8_lossy(&line);
             let words: Vec<&str> = text.split_ascii_whitespace().collect();

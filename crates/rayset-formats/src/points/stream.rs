@@ -32,15 +32,15 @@ enum Input {
 impl Stream {
     /// Opens a file, which may also be a pipe.
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let mut file = BufReader::with_capacity(BUFFER_BYTES, InputFile::open_any(path).map_err(io)?);
-        held(&mut file).map_err(io)?;
+        let mut file =
+            BufReader::with_capacity(BUFFER_BYTES, InputFile::open_any(path).map_err(ReadError::io(path))?);
+        held(&mut file).map_err(ReadError::io(path))?;
         let packing = Packing::of(file.buffer());
         let mut memory = BUFFER_BYTES as u64;
         let input = match packing {
             None => Input::Plain(file),
             Some(packing) => {
-                let (unpacked, more) = Unpacked::new(file, packing).map_err(io)?;
+                let (unpacked, more) = Unpacked::new(file, packing).map_err(ReadError::io(path))?;
                 memory = 2 * memory + more;
                 Input::Packed(Box::new(BufReader::with_capacity(BUFFER_BYTES, unpacked)))
             }
@@ -104,7 +104,7 @@ impl Stream {
     pub(super) fn check_rest(&mut self) -> Result<(), ReadError> {
         if let Input::Packed(input) = &mut self.input {
             let rest = io::copy(input, &mut io::sink());
-            rest.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
+            rest.map_err(ReadError::io(&self.path))?;
         }
         Ok(())
     }

@@ -34,9 +34,8 @@ impl VelodyneReader {
     /// [`ReadError`] if it cannot be read, or neither its size nor its first records are those of a
     /// scan.
     pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let file = InputFile::open(path).map_err(io)?;
-        let length = file.length().map_err(io)?;
+        let file = InputFile::open(path).map_err(ReadError::io(path))?;
+        let length = file.length().map_err(ReadError::io(path))?;
         let file = file.into_storage();
         let mut bytes = Vec::new();
         for width in [4, 5] {
@@ -45,7 +44,7 @@ impl VelodyneReader {
             if rows == 0 || length % table.bytes(1) != 0 {
                 continue;
             }
-            table.load(&*file, 0, rows.min(EXAMINED) as usize, &mut bytes).map_err(io)?;
+            table.load(&*file, 0, rows.min(EXAMINED) as usize, &mut bytes).map_err(ReadError::io(path))?;
             if is_scan(&table, &bytes) {
                 let columns = NAMES[..width - 3].iter().map(|name| ColumnInfo::new(*name, ColumnType::F32));
                 let mut schema = Schema::new(columns.collect(), ColorDepth::Guess);

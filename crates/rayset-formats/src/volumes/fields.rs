@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::data::{data_at, io_error, regular_file_bytes};
-use rayset_base::regular_file::held;
+use crate::words;
 use rayset_files::grid::VolumeError;
 use rayset_store::storage::input_file::InputFile;
 
@@ -67,26 +67,9 @@ impl Lines {
     /// Goes on behind this number of words between white space, which are no lines. False if the
     /// file ends before.
     pub(super) fn skip_words(&mut self, words: u64) -> Result<bool, VolumeError> {
-        let (mut left, mut within) = (words, false);
-        while left > 0 {
-            let held = held(&mut self.file).map_err(io_error(&self.path))?;
-            if held.is_empty() {
-                return Ok(left == 1 && within);
-            }
-            let mut used = 0;
-            for byte in held {
-                let space = byte.is_ascii_whitespace();
-                left -= u64::from(space && within);
-                within = !space;
-                if left == 0 {
-                    break;
-                }
-                used += 1;
-            }
-            self.file.consume(used);
-            self.bytes += used as u64;
-        }
-        Ok(true)
+        let passed = words::pass(&mut self.file, words).map_err(io_error(&self.path))?;
+        self.bytes += passed.bytes;
+        Ok(passed.missing == 0)
     }
 
     /// The current place for messages: "line 7", or "line 7, key".

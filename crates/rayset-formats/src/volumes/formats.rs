@@ -7,9 +7,9 @@ use std::path::Path;
 use flate2::read::MultiGzDecoder;
 
 use super::data::io_error;
-use super::refused::{refused, refused_by_content};
 use super::series::Series;
 use super::{dx, legacy_vtk, meta, nifti, npy, nrrd, slc, vdb, vti};
+use crate::refusals;
 use rayset_files::grid::{VolumeError, VolumeSource};
 use rayset_store::storage::input_file::{InputFile, Named, look};
 
@@ -31,64 +31,42 @@ struct Format {
     open: fn(&Path, Option<u64>) -> Result<VolumeSource, VolumeError>,
 }
 
+/// A format whose files are not compressed as a whole.
+const fn format(
+    extensions: &'static [&'static str],
+    begins: fn(&[u8], &Path) -> Result<bool, VolumeError>,
+    open: fn(&Path, Option<u64>) -> Result<VolumeSource, VolumeError>,
+) -> Format {
+    Format { extensions, begins, zipped: false, open }
+}
+
 /// In this order: the first that recognizes the beginning of a file reads it.
 const FORMATS: &[Format] = &[
-    Format {
-        extensions: &["nrrd", "nhdr"],
-        begins: |head, _| Ok(head.starts_with(b"NRRD000")),
-        zipped: false,
-        open: nrrd::open,
-    },
-    Format {
-        extensions: &["mha", "mhd"],
-        begins: |head, _| Ok(head.starts_with(b"ObjectType = Image") || head.starts_with(b"NDims = ")),
-        zipped: false,
-        open: meta::open,
-    },
-    Format {
-        extensions: &["nii", "nii.gz"],
-        begins: |head, _| Ok(head.get(NIFTI_MAGIC..).is_some_and(|name| name.starts_with(b"n+1\0"))),
-        zipped: true,
-        open: nifti::open,
-    },
-    Format {
-        extensions: &["vdb"],
-        begins: |head, _| Ok(head.starts_with(VDB_MAGIC)),
-        zipped: false,
-        open: |path, index| alone(path, index, vdb::open),
-    },
+    format(&["nrrd", "nhdr"], |head, _| Ok(head.starts_with(b"NRRD000")), nrrd::open),
+    format(
+        &["mha", "mhd"],
+        |head, _| Ok(head.starts_with(b"ObjectType = Image") || head.starts_with(b"NDims = ")),
+        meta::open,
+    ),
+    Format { zipped: true, ..format(&["nii", "nii.gz"], |head, _| Ok(is_nifti(head)), nifti::open) },
+    format(&["vdb"], |head, _| Ok(head.starts_with(VDB_MAGIC)), |path, index| alone(path, index, vdb::open)),
     // Arrays of other dimensions are no volumes, so the name does not tell.
-    Format { extensions: &[], begins: npy::is_volume, zipped: false, open: npy::open },
-    Format {
-        extensions: &["slc"],
-        begins: |head, _| Ok(slc::is_slc(head)),
-        zipped: false,
-        open: |path, index| alone(path, index, slc::open),
-    },
+    format(&[], npy::is_volume, npy::open),
+    format(&["slc"], |head, _| Ok(slc::is_slc(head)), |path, index| alone(path, index, slc::open)),
     // Files of other datasets have the same name.
-    Format {
-        extensions: &[],
-        begins: |head, _| Ok(legacy_vtk::is_grid(head)),
-        zipped: false,
-        open: |path, index| alone(path, index, legacy_vtk::open),
-    },
-    Format {
-        extensions: &["dx"],
-        begins: |head, _| Ok(dx::is_dx(head)),
-        zipped: false,
-        open: |path, index| alone(path, index, dx::open),
-    },
-    Format {
-        extensions: &["vti", "vtr"],
-        // Other files of VTK begin as this one does.
-        begins: |head, _| {
-            let has = |kind: &[u8]| head.windows(kind.len()).any(|w| w == kind);
-            Ok(VTI_TYPES.iter().any(|kind| has(kind)))
-        },
-        zipped: false,
-        open: |path, index| alone(path, index, vti::open),
-    },
+    format(&[], |head, _| Ok(legacy_vtk::is_grid(head)), |path, index| alone(path, index, legacy_vtk::open)),
+    format(&["dx"], |head, _| Ok(dx::is_dx(head)), |path, index| alone(path, index, dx::open)),
+    format(&["vti", "vtr"], |head, _| Ok(is_vti(head)), |path, index| alone(path, index, vti::open)),
 ];
+
+fn is_nifti(head: &[u8]) -> bool {
+    head.get(NIFTI_MAGIC..).is_some_and(|name| name.starts_with(b"n+1\0"))
+}
+
+/// Other files of VTK begin as these do.
+fn is_vti(head: &[u8]) -> bool {
+    VTI_TYPES.iter().any(|kind| head.windows(kind.len()).any(|part| part == *kind))
+}
 
 /// What is expected of a file that is no volume.
 const EXPECTED: &str = "expected NRRD, MetaImage, NIfTI, OpenVDB, VTI, VTR, legacy VTK of structured points, OpenDX, SLC, an \
@@ -135,14 +113,13 @@ fn kind_of(path: &Path) -> Result<Kind, VolumeError> {
         }
         return Ok(Kind::Read(format));
     }
-    if let Some(what) = refused_by_content(&head) {
-        return Ok(Kind::Refused(what.to_owned()));
+    if let Some(advice) = refusals::of_volume_marked(&head) {
+        return Ok(Kind::Refused(advice));
     }
-    let refused = refused(path, &head, is_named).map(|what| Kind::Refused(what.to_owned()));
-    Ok(match FORMATS.iter().find(|format| is_named(format.extensions)) {
-        Some(format) => Kind::Read(format),
-        None => refused.unwrap_or(Kind::Unknown),
-    })
+    if let Some(format) = FORMATS.iter().find(|format| is_named(format.extensions)) {
+        return Ok(Kind::Read(format));
+    }
+    Ok(refusals::of_volume_named(path, &name).map_or(Kind::Unknown, Kind::Refused))
 }
 
 /// Endings of the names of files of volumes, without the dot, in lower case.

@@ -18,7 +18,6 @@ mod nrrd;
 mod orientation;
 mod raw;
 mod rectilinear;
-mod refused;
 mod segments;
 mod series;
 mod slc;

@@ -30,7 +30,7 @@ const CRATES: [(&str, &[&str], &[&str]); 6] = [
     (
         "rayset-formats",
         &["rayset-base", "rayset-store", "rayset-files"],
-        &["array_file", "vtk_xml", "points", "volumes"],
+        &["words", "refusals", "array_file", "vtk_xml", "points", "volumes"],
     ),
     (
         "rayset-render",

@@ -18,7 +18,7 @@ fn files_are_recognized_by_their_first_bytes_under_any_name() {
         (&b"HEADER    OXYGEN"[..], "a molecule in PDB", "MDAnalysis"),
         (b"ITEM: TIMESTEP\n0\n", "a dump of LAMMPS", "numpy.loadtxt"),
         (b"\x7fNSJb\0\0", "geometry of Houdini", "splashsurf convert"),
-        (&dicom, "an image in DICOM", "dcm2niix"),
+        (&dicom, "DICOM, a slice in each file", "dcm2niix"),
         (b"PXR-USDC\0\0", "a scene in USD", "Stanford PLY"),
         (b"BLENDER-v300", "a file of Blender", "Stanford PLY"),
         (b"PAR1\x15\x04", "a table of columns", "numpy.savez"),
@@ -99,7 +99,7 @@ fn folders_of_potree_and_zarr_are_recognized_and_others_are_folders() {
     let folder = folder();
     assert!(said(folder.path()).contains("this is a folder"), "{}", said(folder.path()));
     std::fs::write(folder.path().join("zarr.json"), "{}").expect("a write");
-    assert!(said(folder.path()).contains("an array in Zarr"), "{}", said(folder.path()));
+    assert!(said(folder.path()).contains("this is Zarr"), "{}", said(folder.path()));
     for name in ["metadata.json", "octree.bin"] {
         std::fs::write(folder.path().join(name), "{}").expect("a write");
     }

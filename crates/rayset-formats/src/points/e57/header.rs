@@ -33,15 +33,14 @@ pub(super) struct Contents {
 
 /// Opens a file, and reads what it says of its scans.
 pub(super) fn open(path: &Path) -> Result<(Contents, Pages), ReadError> {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
-    let mut file = InputFile::open(path).map_err(io)?;
-    let bytes = file.length().map_err(io)?;
+    let mut file = InputFile::open(path).map_err(ReadError::io(path))?;
+    let bytes = file.length().map_err(ReadError::io(path))?;
     let (xml_start, xml_bytes) = check_header(path, &mut file, bytes)?;
     let mut pages = Pages::new(path, file, bytes);
     check_xml(&mut pages, xml_start, xml_bytes)?;
 
     let bad = |what: String| ReadError::malformed(path, Place::Byte(xml_start), what);
-    let file = InputFile::open(path).map_err(io)?;
+    let file = InputFile::open(path).map_err(ReadError::io(path))?;
     let contents = quiet::catch(|| interpret(file, xml_start));
     let contents = contents.ok_or_else(|| bad("the XML that begins here cannot be interpreted".into()))?;
     let contents = contents.map_err(|e| {
@@ -69,7 +68,7 @@ fn check_header(path: &Path, file: &mut InputFile, bytes: u64) -> Result<(u64, u
     let bad = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
     let mut header = Vec::new();
     let read = file.take(HEADER_BYTES as u64).read_to_end(&mut header);
-    read.map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+    read.map_err(ReadError::io(path))?;
     if !header.starts_with(b"ASTM-E57") {
         return Err(bad(0, "the file does not begin with `ASTM-E57`, so it is not E57".into()));
     }

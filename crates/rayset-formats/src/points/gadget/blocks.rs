@@ -96,11 +96,10 @@ pub(super) fn byte_order(head: &[u8]) -> Option<(bool, bool)> {
 
 impl GadgetFile {
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let file = InputFile::open(path).map_err(io)?.into_storage();
-        let bytes = file.length().map_err(io)?;
+        let file = InputFile::open(path).map_err(ReadError::io(path))?.into_storage();
+        let bytes = file.length().map_err(ReadError::io(path))?;
         let mut head = vec![0; bytes.min(280) as usize];
-        file.read_exact_at(&mut head, 0).map_err(io)?;
+        file.read_exact_at(&mut head, 0).map_err(ReadError::io(path))?;
         let Some((big_endian, named)) = byte_order(&head) else {
             let what = "expected the header of a snapshot of GADGET: 256 bytes between two record marks of 256, or a record \
                         with the name HEAD";
@@ -143,7 +142,7 @@ impl GadgetFile {
             ));
         }
         let read = self.file.read_exact_at(&mut bytes, at);
-        read.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
+        read.map_err(ReadError::io(&self.path))?;
         Ok(bytes)
     }
 

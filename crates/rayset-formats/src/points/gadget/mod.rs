@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use self::blocks::{Block, GadgetFile, Header, TYPES};
 use super::file_source::{FileSource, RecordReader, Request};
-use super::particles::{self, Census};
+use super::particles::{self, Census, Supply};
 use super::{ColorDepth, ColumnInfo, ColumnType, PointBatch, ReadError, Schema, Values, roles, siblings};
 
 /// Rows that are read at once.
@@ -21,17 +21,6 @@ const ROWS: u64 = 1 << 14;
 /// Whether a file is a snapshot of GADGET.
 pub(super) fn begins(head: &[u8]) -> bool {
     blocks::byte_order(head).is_some()
-}
-
-/// Where a column comes from.
-#[derive(Clone, Debug, PartialEq)]
-enum Supply {
-    /// A component of the block of this name.
-    Stored(String, usize),
-    Mass,
-    Radius,
-    Weight,
-    Kind,
 }
 
 /// The particles of a snapshot.
@@ -108,7 +97,7 @@ impl GadgetReader {
         let load = |block: &Block, bytes: &mut Vec<u8>| {
             let first = block.first[kind].unwrap_or(0) + row;
             let read = block.plain.load(&*file.file, first, count, bytes);
-            read.map_err(|source| ReadError::Io { path: file.path.clone(), source })
+            read.map_err(ReadError::io(&file.path))
         };
         if let Some(block) = find(file, "POS", kind) {
             load(block, &mut self.scratch)?;

@@ -50,8 +50,7 @@ impl Header {
         let bad = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
         let mut bytes = [0; KNOWN_BYTES];
         let found = KNOWN_BYTES.min(usize::try_from(file_bytes).unwrap_or(KNOWN_BYTES));
-        file.read_exact(&mut bytes[..found])
-            .map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+        file.read_exact(&mut bytes[..found]).map_err(ReadError::io(path))?;
         if bytes[..4] != *b"LASF" {
             return Err(bad(0, "the file does not begin with `LASF`, so it is neither LAS nor LAZ".into()));
         }

@@ -74,9 +74,8 @@ impl LasReader {
     /// # Errors
     /// [`ReadError`] if the file cannot be opened, is truncated, or violates its format.
     pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
-        let failed = |source| ReadError::Io { path: path.to_owned(), source };
-        let file = Shared::open(path).map_err(failed)?;
-        let file_bytes = file.length().map_err(failed)?;
+        let file = Shared::open(path).map_err(ReadError::io(path))?;
+        let file_bytes = file.length().map_err(ReadError::io(path))?;
         let header = Header::read(path, &mut Stretch::new(&file, 0, file_bytes))?;
         let records = Records::read(path, &file, &header)?;
         let points = if header.is_compressed {
@@ -88,7 +87,7 @@ impl LasReader {
             let opened = quiet::catch(|| CompressedPoints::open(&file, &header, method));
             match opened {
                 Some(Ok(points)) => Points::Compressed(Box::new(points)),
-                Some(Err(Trouble::Io(source))) => return Err(failed(source)),
+                Some(Err(Trouble::Io(source))) => return Err(ReadError::io(path)(source)),
                 Some(Err(Trouble::Damaged { byte, what })) => return Err(bad(byte, what)),
                 None => return Err(bad(header.points_start, "the table of chunks is damaged".to_owned())),
             }

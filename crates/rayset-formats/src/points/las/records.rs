@@ -1,7 +1,7 @@
 //! Variable length records, and extended ones: the few that are needed are read, and all others are
 //! skipped.
 
-use std::io::{self, Read};
+use std::io::Read;
 use std::path::Path;
 
 use super::header::Header;
@@ -66,7 +66,6 @@ impl Records {
             );
             return Err(bad(byte, what));
         }
-        let failed = |source: io::Error| ReadError::Io { path: path.to_owned(), source };
         let mut input = Stretch::new(file, start, end).buffered();
         let mut at = start;
         let looked_at = if extended { number.min(EXTENDED_LOOKED_AT) } else { number };
@@ -79,7 +78,7 @@ impl Records {
                     format!("record {} of {number} {kind} goes beyond byte {end}", index + 1),
                 ));
             }
-            input.read_exact(&mut bytes[..prefix as usize]).map_err(failed)?;
+            input.read_exact(&mut bytes[..prefix as usize]).map_err(ReadError::io(path))?;
             let length_bytes = if extended { 8 } else { 2 };
             let length = bytes[20..20 + length_bytes].iter().rev().fold(0_u64, |v, &b| v << 8 | u64::from(b));
             let Some(next) = contents_start.checked_add(length).filter(|&next| next <= end) else {
@@ -94,11 +93,11 @@ impl Records {
             match self.wanted(user, id, extended).filter(|_| length <= LONGEST) {
                 Some(contents) => {
                     let mut read = vec![0; length as usize];
-                    input.read_exact(&mut read).map_err(failed)?;
+                    input.read_exact(&mut read).map_err(ReadError::io(path))?;
                     *contents = Some(read);
                 }
                 // A length is less than that of the file, which fits.
-                None => input.seek_relative(length as i64).map_err(failed)?,
+                None => input.seek_relative(length as i64).map_err(ReadError::io(path))?,
             }
             at = next;
         }

@@ -17,12 +17,11 @@ const MOST_TRIANGLES: u64 = u32::MAX as u64 / 3;
 
 /// Reads the triangles of an STL file.
 pub(super) fn read(path: &Path, sink: &mut impl Sink) -> Result<Description, ReadError> {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
     let fail = |byte: u64, what: String| Err(ReadError::malformed(path, Place::Byte(byte), what));
-    let mut file = InputFile::open(path).map_err(io)?;
-    let bytes = file.length().map_err(io)?;
+    let mut file = InputFile::open(path).map_err(ReadError::io(path))?;
+    let bytes = file.length().map_err(ReadError::io(path))?;
     let mut header = Vec::new();
-    (&mut file).take(HEADER_BYTES).read_to_end(&mut header).map_err(io)?;
+    (&mut file).take(HEADER_BYTES).read_to_end(&mut header).map_err(ReadError::io(path))?;
     let is_text = header.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
     let count = header.get(80..84).map(|n| u64::from(u32::from_le_bytes([n[0], n[1], n[2], n[3]])));
     let whole = count.map(|count| HEADER_BYTES + count * TRIANGLE_BYTES as u64);

@@ -53,15 +53,15 @@ impl NpyReader {
     /// Opens a file. `names` are those of all columns: of a plain array, or of the fields or arrays
     /// that have a row a point.
     pub(super) fn open(path: &Path, names: Option<&[String]>) -> Result<FileSource<Self>, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
         let of_fault = |fault: Fault| match fault {
-            Fault::Io(source) => io(source),
+            Fault::Io(source) => ReadError::io(path)(source),
             Fault::Wrong { at, what } => ReadError::malformed(path, Place::Byte(at), what),
         };
-        let mut file = rayset_store::storage::input_file::InputFile::open(path).map_err(io)?;
-        let bytes = file.length().map_err(io)?;
+        let mut file =
+            rayset_store::storage::input_file::InputFile::open(path).map_err(ReadError::io(path))?;
+        let bytes = file.length().map_err(ReadError::io(path))?;
         let mut magic = Vec::new();
-        (&mut file).take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(io)?;
+        (&mut file).take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(ReadError::io(path))?;
         let layout = if magic == *MAGIC {
             let array = Array::open(path, Member::whole(bytes)).map_err(of_fault)?;
             Layout::of_array(path, &array, names)
@@ -112,7 +112,7 @@ impl RecordReader for NpyReader {
         let count = request.most.min((STEP_BYTES / together.max(1)).max(1));
         for &strand in &used {
             let read = self.strands[strand].load(request.path(), request.first, count);
-            read.map_err(|source| ReadError::Io { path: request.path().to_owned(), source })?;
+            read.map_err(ReadError::io(request.path()))?;
         }
         let first = batch.len();
         batch.position.resize(first + count, [0.0; 3]);

@@ -75,12 +75,12 @@ impl Header {
         let mut lines = Lines::default();
         let mut line = Vec::new();
         // What follows the header may be binary, so its first line decides.
-        let start = held(input).map_err(|source| ReadError::Io { path: path.clone(), source })?;
+        let start = held(input).map_err(ReadError::io(&path))?;
         let line_end = first_line_end(start);
         loop {
             line.clear();
             let read = input.by_ref().take(HEADER_LIMIT - bytes).read_until(line_end, &mut line);
-            bytes += read.map_err(|source| ReadError::Io { path: path.clone(), source })? as u64;
+            bytes += read.map_err(ReadError::io(&path))? as u64;
             number += 1;
             let fail = |what: String| ReadError::malformed(&path, Place::Line(number), what);
             if line.last() != Some(&line_end) {

@@ -115,8 +115,7 @@ impl PcdReader {
             Body::Binary(input) => {
                 let wanted = rows * self.stride;
                 let read = input.by_ref().take(wanted as u64).read_to_end(&mut self.block);
-                let read =
-                    read.map_err(|source| ReadError::Io { path: request.path().to_owned(), source })?;
+                let read = read.map_err(ReadError::io(request.path()))?;
                 if read < wanted {
                     let whole = request.first + (read / self.stride) as u64;
                     let end = self.header_bytes + request.first * self.stride as u64 + read as u64;

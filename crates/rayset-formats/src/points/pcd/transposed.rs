@@ -43,16 +43,15 @@ pub(super) struct Transposed {
 impl Transposed {
     /// Opens the data of a file, and decodes them once.
     pub(super) fn open(path: &Path, header: &Header) -> Result<Self, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
         let bad = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
-        let file = Shared::open(path).map_err(io)?;
-        let file_bytes = file.length().map_err(io)?;
+        let file = Shared::open(path).map_err(ReadError::io(path))?;
+        let file_bytes = file.length().map_err(ReadError::io(path))?;
         let start = header.bytes + 8;
         if start > file_bytes {
             return Err(bad(file_bytes, "the file ends before the sizes of its compressed points".into()));
         }
         let mut sizes = [0; 8];
-        Stretch::new(&file, header.bytes, start).read_exact(&mut sizes).map_err(io)?;
+        Stretch::new(&file, header.bytes, start).read_exact(&mut sizes).map_err(ReadError::io(path))?;
         let [packed, unpacked] =
             [0, 4].map(|at| u64::from(u32::from_le_bytes(std::array::from_fn(|i| sizes[at + i]))));
         let record: u64 = header.fields.iter().map(|field| field.bytes() as u64).sum();

@@ -57,9 +57,8 @@ pub(super) struct File {
 
 impl File {
     pub(super) fn open(path: &Path) -> Result<Self, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let file = InputFile::open(path).map_err(io)?.into_storage();
-        let bytes = file.length().map_err(io)?;
+        let file = InputFile::open(path).map_err(ReadError::io(path))?.into_storage();
+        let bytes = file.length().map_err(ReadError::io(path))?;
         let storage: Arc<dyn Bytes> = Arc::new(Pieces { file, length: bytes });
         let mut filters = FilterRegistry::new();
         filters.register(

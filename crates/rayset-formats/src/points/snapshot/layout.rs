@@ -6,7 +6,7 @@ use super::hdf5::File;
 use super::header::Header;
 use super::table::Table;
 use super::units;
-use crate::points::particles::{self, MOST_TYPES};
+use crate::points::particles::{self, MOST_TYPES, Supply};
 use crate::points::{ColumnInfo, ColumnType, ReadError, roles};
 
 pub(super) const POSITIONS: &str = "Coordinates";
@@ -117,17 +117,6 @@ impl Radius {
             (Self::Density(name), _) => format!("{CELL_FACTOR} (3 mass / 4π {name})^(1/3)"),
         }
     }
-}
-
-/// Where a column comes from.
-#[derive(Clone, PartialEq)]
-pub(super) enum Supply {
-    /// A component of a dataset.
-    Stored(String, usize),
-    Mass,
-    Radius,
-    Weight,
-    Kind,
 }
 
 /// A dataset that becomes columns.

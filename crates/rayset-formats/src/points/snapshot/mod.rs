@@ -17,10 +17,10 @@ use std::path::Path;
 
 use self::hdf5::File;
 use self::header::Header;
-use self::layout::{Radius, Supply, TypeLayout};
+use self::layout::{Radius, TypeLayout};
 use self::table::{Blocks, Table};
 use super::file_source::{FileSource, RecordReader, Request};
-use super::particles::{self, Census};
+use super::particles::{self, Census, Supply};
 use super::{ColorDepth, Place, PointBatch, ReadError, Schema, Values, reading, siblings};
 
 /// Memory in bytes for blocks of datasets. Where their chunks are larger together, they are decoded

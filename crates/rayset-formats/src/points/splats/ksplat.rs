@@ -68,12 +68,11 @@ impl KsplatReader {
     /// [`ReadError`] if it cannot be read, or its headers do not agree with each other and its
     /// size.
     pub(in crate::points) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
-        let mut headers = InputFile::open(path).map_err(io)?;
-        let bytes = headers.length().map_err(io)?;
+        let mut headers = InputFile::open(path).map_err(ReadError::io(path))?;
+        let bytes = headers.length().map_err(ReadError::io(path))?;
         let header = KsplatHeader::read(path, &mut headers, bytes)?;
         let schema = gaussian::schema("ksplat 0.1", ColorDepth::Byte, header.is_view_dependent, UP);
-        let part = || Part::open(path).map_err(io);
+        let part = || Part::open(path).map_err(ReadError::io(path));
         let count = header.count;
         let reader = Self {
             headers,

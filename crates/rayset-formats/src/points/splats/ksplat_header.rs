@@ -75,7 +75,7 @@ impl Fields {
     fn read(path: &Path, file: &mut (impl Read + Seek), at: u64) -> Result<Self, ReadError> {
         let mut bytes = [0; HEADER_PART];
         let read = file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut bytes));
-        read.map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+        read.map_err(ReadError::io(path))?;
         Ok(Self(bytes))
     }
 

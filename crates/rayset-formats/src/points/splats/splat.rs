@@ -29,18 +29,20 @@ impl SplatReader {
     /// [`ReadError`] if it cannot be read, or its size or its first records are not those of
     /// splats.
     pub(in crate::points) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
         let fail = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
-        let mut file = InputFile::open(path).map_err(io)?;
-        let bytes = file.length().map_err(io)?;
+        let mut file = InputFile::open(path).map_err(ReadError::io(path))?;
+        let bytes = file.length().map_err(ReadError::io(path))?;
         if bytes == 0 || bytes % RECORD_BYTES as u64 != 0 {
             let what =
                 format!("{bytes} bytes are no whole number of splats, which have {RECORD_BYTES} bytes each");
             return Err(fail(bytes - bytes % RECORD_BYTES as u64, what));
         }
         let mut start = Vec::new();
-        (&mut file).take((EXAMINED * RECORD_BYTES) as u64).read_to_end(&mut start).map_err(io)?;
-        file.rewind().map_err(io)?;
+        (&mut file)
+            .take((EXAMINED * RECORD_BYTES) as u64)
+            .read_to_end(&mut start)
+            .map_err(ReadError::io(path))?;
+        file.rewind().map_err(ReadError::io(path))?;
         let records = start.chunks_exact(RECORD_BYTES);
         let (examined, wrong) = (records.len(), records.filter(|record| !is_plausible(record)).count());
         if 2 * wrong > examined {

@@ -64,11 +64,10 @@ impl SpzReader {
     /// # Errors
     /// [`ReadError`] if the file cannot be read, or is not an SPZ file of version 1 to 4.
     pub(in crate::points) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
         let fail = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
-        let mut file = InputFile::open(path).map_err(io)?;
+        let mut file = InputFile::open(path).map_err(ReadError::io(path))?;
         let mut start = Vec::new();
-        (&mut file).take(2).read_to_end(&mut start).map_err(io)?;
+        (&mut file).take(2).read_to_end(&mut start).map_err(ReadError::io(path))?;
         let packing = if start == [0x1f, 0x8b] { Packing::Gzip } else { Packing::Plain };
         let mut bytes = [0; HEADER_BYTES];
         if Plane::open(path, packing, 0, &CancelToken::new())?.read(&mut bytes)? < HEADER_BYTES {
@@ -79,7 +78,7 @@ impl SpzReader {
             if matches!(packing, Packing::Gzip) {
                 return Err(fail(0, "an SPZ file of version 4 in gzip; expected it as it is".into()));
             }
-            let bytes = file.length().map_err(io)?;
+            let bytes = file.length().map_err(ReadError::io(path))?;
             let [positions, alphas, colors, scales, _, _] = header.streams(path, &mut file, bytes)?;
             Layout::Streams(with_windows(path, &mut file, [positions, alphas, colors, scales])?)
         } else {
@@ -151,7 +150,7 @@ fn with_windows(
         let mut frame = Vec::new();
         let read = file.seek(SeekFrom::Start(place.offset));
         read.and_then(|_| file.take(place.bytes.min(18)).read_to_end(&mut frame))
-            .map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+            .map_err(ReadError::io(path))?;
         let window = zstd_window(&frame).filter(|window| *window <= WINDOW_LIMIT).ok_or_else(|| {
             let what = "not the beginning of a zstd stream that can be unpacked in 128 MiB";
             ReadError::malformed(path, Place::Byte(place.offset), what)

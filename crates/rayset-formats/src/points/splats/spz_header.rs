@@ -98,7 +98,6 @@ impl SpzHeader {
         file: &mut (impl Read + Seek),
         file_bytes: u64,
     ) -> Result<[Option<StreamPlace>; 6], ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
         let fail = |byte: u64, what: String| ReadError::malformed(path, Place::Byte(byte), what);
         let sizes = self.widths().map(|width| width * self.count);
         let expected = sizes.iter().filter(|size| **size > 0).count();
@@ -109,7 +108,9 @@ impl SpzHeader {
         let first = table + (expected * ENTRY_BYTES) as u64;
         let mut entries = [0; 6 * ENTRY_BYTES];
         let entries = &mut entries[..expected * ENTRY_BYTES];
-        file.seek(SeekFrom::Start(table)).and_then(|_| file.read_exact(entries)).map_err(io)?;
+        file.seek(SeekFrom::Start(table))
+            .and_then(|_| file.read_exact(entries))
+            .map_err(ReadError::io(path))?;
         let (mut places, mut offset, mut entry) = ([None; 6], first, table);
         let mut left = entries.chunks_exact(ENTRY_BYTES);
         for (place, size) in places.iter_mut().zip(sizes).filter(|(_, size)| *size > 0) {
@@ -150,7 +151,7 @@ impl SpzHeader {
         }
         let mut bytes = [0; 4];
         let read = file.seek(SeekFrom::Start(16)).and_then(|_| file.read_exact(&mut bytes));
-        read.map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+        read.map_err(ReadError::io(path))?;
         let table = u64::from(word(&bytes));
         if table < STREAMS_HEADER_BYTES {
             let what = format!(

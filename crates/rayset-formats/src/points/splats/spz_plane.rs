@@ -86,8 +86,7 @@ impl Plane {
         skip: u64,
         cancel: &CancelToken,
     ) -> Result<Self, ReadError> {
-        let open =
-            |at| Counted::open(path, at).map_err(|source| ReadError::Io { path: path.to_owned(), source });
+        let open = |at| Counted::open(path, at).map_err(ReadError::io(path));
         let input = match packing {
             Packing::Plain => Input::Plain(open(0)?),
             Packing::Gzip => Input::Gzip(GzDecoder::new(open(0)?)),
@@ -130,9 +129,7 @@ impl Plane {
                 Ok(0) => break,
                 Ok(bytes) => read += bytes,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                Err(source) if is_of_reading(&source) => {
-                    return Err(ReadError::Io { path: self.path.clone(), source });
-                }
+                Err(source) if is_of_reading(&source) => return Err(ReadError::io(&self.path)(source)),
                 Err(e) if e.kind() == io::ErrorKind::UnexpectedEof || self.stream_is_cut() => {
                     self.is_cut = true;
                     break;

@@ -10,7 +10,7 @@ use super::part::{Part, Stored, VtkArray};
 use super::words::{decoded, type_of};
 use crate::points::roles::excerpt;
 use crate::points::{Place, ReadError};
-use rayset_base::regular_file;
+use crate::words;
 use rayset_store::storage::input_file::InputFile;
 
 pub(super) const MAGIC: &[u8] = b"# vtk DataFile";
@@ -45,9 +45,8 @@ struct Scanner<'a> {
 
 /// Finds the points of a file and their arrays.
 pub(super) fn scan(path: &Path) -> Result<(Part, String), ReadError> {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
-    let file = InputFile::open(path).map_err(io)?;
-    let bytes = file.length().map_err(io)?;
+    let file = InputFile::open(path).map_err(ReadError::io(path))?;
+    let bytes = file.length().map_err(ReadError::io(path))?;
     let input = BufReader::with_capacity(1 << 16, file);
     let mut scanner = Scanner {
         path,
@@ -79,10 +78,6 @@ impl Scanner<'_> {
         ReadError::malformed(self.path, Place::Byte(self.at), what)
     }
 
-    fn io(&self, source: io::Error) -> ReadError {
-        ReadError::Io { path: self.path.to_owned(), source }
-    }
-
     /// Reads the first lines. Returns the title.
     fn head(&mut self) -> Result<String, ReadError> {
         let first = self.line()?.unwrap_or_default();
@@ -107,7 +102,7 @@ impl Scanner<'_> {
     fn line(&mut self) -> Result<Option<String>, ReadError> {
         let mut line = Vec::new();
         let read = (&mut self.input).take(MOST_LINE_BYTES).read_until(b'\n', &mut line);
-        let read = read.map_err(|source| self.io(source))? as u64;
+        let read = read.map_err(ReadError::io(self.path))? as u64;
         if read == MOST_LINE_BYTES && line.last() != Some(&b'\n') {
             return Err(self.wrong(format!(
                 "a line of more than {MOST_LINE_BYTES} bytes, where a section should begin"
@@ -208,7 +203,7 @@ impl Scanner<'_> {
         const WORD: &[u8] = b"OFFSETS";
         let (start, mut word) = (self.at, Vec::new());
         let read = (&mut self.input).take(WORD.len() as u64).read_to_end(&mut word);
-        self.at += read.map_err(|source| self.io(source))? as u64;
+        self.at += read.map_err(ReadError::io(self.path))? as u64;
         self.go_to(start)?;
         if word == WORD { self.line() } else { Ok(None) }
     }
@@ -289,7 +284,7 @@ impl Scanner<'_> {
 
     /// Goes to a byte of the file. What is in the buffer already is not read again.
     fn go_to(&mut self, at: u64) -> Result<(), ReadError> {
-        self.input.seek_relative(at as i64 - self.at as i64).map_err(|source| self.io(source))?;
+        self.input.seek_relative(at as i64 - self.at as i64).map_err(ReadError::io(self.path))?;
         self.at = at;
         Ok(())
     }
@@ -333,33 +328,12 @@ impl Scanner<'_> {
 
     /// Passes numbers in text.
     fn pass_numbers(&mut self, count: u64) -> Result<(), ReadError> {
-        let (mut left, mut in_number, mut used) = (count, false, 0_u64);
-        while left > 0 {
-            let held = regular_file::held(&mut self.input)
-                .map_err(|source| ReadError::Io { path: self.path.to_owned(), source })?;
-            if held.is_empty() {
-                self.at += used;
-                left -= u64::from(in_number);
-                return if left == 0 {
-                    Ok(())
-                } else {
-                    Err(self.wrong(format!("the file ends after {} numbers of {count}", count - left)))
-                };
-            }
-            let mut taken = 0;
-            for byte in held {
-                let space = byte.is_ascii_whitespace();
-                left -= u64::from(space && in_number);
-                in_number = !space;
-                if left == 0 {
-                    break;
-                }
-                taken += 1;
-            }
-            self.input.consume(taken);
-            used += taken as u64;
+        let passed = words::pass(&mut self.input, count).map_err(ReadError::io(self.path))?;
+        self.at += passed.bytes;
+        if passed.missing > 0 {
+            let there = count - passed.missing;
+            return Err(self.wrong(format!("the file ends after {there} numbers of {count}")));
         }
-        self.at += used;
         Ok(())
     }
 
@@ -390,7 +364,7 @@ impl Scanner<'_> {
     fn fill(&mut self, bytes: &mut [u8]) -> Result<(), ReadError> {
         self.input.read_exact(bytes).map_err(|source| match source.kind() {
             io::ErrorKind::UnexpectedEof => self.wrong("the file ends within an array of texts"),
-            _ => self.io(source),
+            _ => ReadError::io(self.path)(source),
         })?;
         self.at += bytes.len() as u64;
         Ok(())

@@ -60,8 +60,7 @@ pub(super) struct VtkReader {
 impl VtkReader {
     pub(super) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let mut magic = [0; legacy::MAGIC.len()];
-        let mut file =
-            InputFile::open(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+        let mut file = InputFile::open(path).map_err(ReadError::io(path))?;
         let is_legacy = match file.read_exact(&mut magic) {
             Ok(()) => magic == *legacy::MAGIC,
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => false,
@@ -85,22 +84,20 @@ impl VtkReader {
     /// An error in the numbers of an array of the current part, or in its positions. What the
     /// system says, it says of the file.
     fn unreadable(&self, path: &Path, array: Option<usize>, source: io::Error) -> ReadError {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
         if is_of_reading(&source) {
-            return io(source);
+            return ReadError::io(path)(source);
         }
         let named = array.and_then(|index| self.parts.get(self.part)?.arrays.get(index));
         let of = named.map_or_else(|| "positions".to_owned(), |array| format!("array `{}`", array.name));
-        io(io::Error::new(source.kind(), format!("{of}: {source}")))
+        ReadError::io(path)(io::Error::new(source.kind(), format!("{of}: {source}")))
     }
 
     /// Opens an array of the current part, or its positions.
     fn stream(&self, path: &Path, part: &Part, array: Option<usize>) -> Result<Stream, ReadError> {
-        let io = |source| ReadError::Io { path: path.to_owned(), source };
         let found = array.map_or(&part.positions, |index| &part.arrays[index]);
         let at = |start| {
-            let mut file = InputFile::open(path).map_err(io)?;
-            file.seek(SeekFrom::Start(start)).map_err(io)?;
+            let mut file = InputFile::open(path).map_err(ReadError::io(path))?;
+            file.seek(SeekFrom::Start(start)).map_err(ReadError::io(path))?;
             Ok(BufReader::with_capacity(1 << 16, file))
         };
         let (data, big_endian): (Box<dyn Read + Send>, bool) = match (&found.stored, &self.document) {

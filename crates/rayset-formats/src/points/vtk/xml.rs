@@ -105,7 +105,6 @@ pub(super) fn open(
     rows: u64,
 ) -> Result<(Box<dyn Read + Send>, bool), ReadError> {
     let fail = of_fault(path);
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
     let Stored::Xml { piece, is_position, index } = array.stored else {
         return Err(ReadError::malformed(path, Place::Byte(0), "an array that is not in XML"));
     };
@@ -120,12 +119,12 @@ pub(super) fn open(
         words,
         count,
         bytes: count.saturating_mul(array.kind.bytes() as u64),
-        file_bytes: InputFile::open(path).and_then(|file| file.length()).map_err(io)?,
+        file_bytes: InputFile::open(path).and_then(|file| file.length()).map_err(ReadError::io(path))?,
     };
     match data.open(array.kind).map_err(&fail)? {
         Opened::Plain(start) => {
-            let mut file = InputFile::open(path).map_err(io)?;
-            file.seek(SeekFrom::Start(start)).map_err(io)?;
+            let mut file = InputFile::open(path).map_err(ReadError::io(path))?;
+            file.seek(SeekFrom::Start(start)).map_err(ReadError::io(path))?;
             Ok((Box::new(BufReader::with_capacity(1 << 16, file)), words.big_endian))
         }
         Opened::Stream { data, is_text, .. } => Ok((data, words.big_endian && !is_text)),

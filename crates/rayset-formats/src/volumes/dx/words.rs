@@ -4,6 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use super::super::data::{data_at, io_error, regular_file_bytes};
+use crate::words;
 use rayset_base::regular_file::held;
 use rayset_files::grid::VolumeError;
 use rayset_store::storage::input_file::InputFile;
@@ -165,30 +166,13 @@ impl<'a> Words<'a> {
 
     /// Goes on behind numbers in text.
     pub(super) fn skip_numbers(&mut self, count: u64) -> Result<(), VolumeError> {
-        let (mut left, mut within) = (count, false);
-        while left > 0 {
-            let held = held(&mut self.file).map_err(io_error(self.path))?;
-            if held.is_empty() && left == 1 && within {
-                return Ok(());
-            }
-            if held.is_empty() {
-                let what = format!("the file ends before the last {left} numbers of an array");
-                return Err(self.wrong(&what));
-            }
-            let mut used = 0;
-            for byte in held {
-                let space = byte.is_ascii_whitespace();
-                left -= u64::from(space && within);
-                within = !space;
-                if left == 0 {
-                    break;
-                }
-                self.line += u64::from(*byte == b'\n');
-                used += 1;
-            }
-            self.file.consume(used);
-            self.at += used as u64;
+        let passed = words::pass(&mut self.file, count).map_err(io_error(self.path))?;
+        if passed.missing > 0 {
+            let what = format!("the file ends before the last {} numbers of an array", passed.missing);
+            return Err(self.wrong(&what));
         }
+        self.line += passed.lines;
+        self.at += passed.bytes;
         Ok(())
     }
 }

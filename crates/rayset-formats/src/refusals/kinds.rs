@@ -26,6 +26,42 @@ const FROM_RASTER: &str =
     "it has heights and no points; `gdal2xyz.py FILE points.xyz` makes points of them that open";
 const PICTURE: &str = "points come in files of points, such as PLY, LAS or CSV";
 
+/// What may be a volume: it is refused before it is tried as points.
+pub(super) const VOLUMES: [Kind; 5] = [
+    Kind {
+        what: "DICOM, a slice in each file",
+        marks: &[(128, b"DICM")],
+        extensions: &["dcm", "dicom", "ima"],
+        way: "`dcm2niix FOLDER` makes a NIfTI file of a series, and 3D Slicer an NRRD",
+    },
+    Kind {
+        what: "Zarr",
+        marks: &[],
+        extensions: &["zarr", "zarr.zip", "n5", ".zarray", ".zgroup", ".zmetadata", "zarr.json"],
+        way: "from Python, `numpy.save(\"array.npy\", zarr.open(\"FOLDER\")[:])` makes an array that opens, of one level",
+    },
+    Kind {
+        what: "TIFF",
+        marks: &[(0, b"II*\0"), (0, b"MM\0*"), (0, b"II+\0"), (0, b"MM\0+")],
+        extensions: &["tif", "tiff"],
+        way: "from Python, `numpy.save(\"volume.npy\", tifffile.imread(\"FILE\"))` makes an array that opens, of one \
+              channel and time; of a map of heights, `gdal2xyz.py FILE points.xyz` makes points",
+    },
+    Kind {
+        what: "Analyze, NIfTI in two files, or NIfTI-2",
+        marks: &[(344, b"ni1\0"), (4, b"n+2\0"), (4, b"ni2\0")],
+        extensions: &["hdr", "img"],
+        way: "NIfTI-1 in one file is read; from Python, \
+              `nibabel.Nifti1Image.from_image(nibabel.load(\"FILE\")).to_filename(\"volume.nii.gz\")` makes one",
+    },
+    Kind {
+        what: "a grid of VTK that is not regular, or in several files",
+        marks: &[],
+        extensions: &["vts", "pvti", "pvtr", "pvts"],
+        way: "ParaView's filter Resample To Image makes a regular one, and `.vti` of one piece is read",
+    },
+];
+
 /// Recognized by content, in this order, and only then by name.
 pub(super) const KINDS: &[Kind] = &[
     Kind {
@@ -45,7 +81,7 @@ pub(super) const KINDS: &[Kind] = &[
     Kind {
         what: "a volume without a header",
         marks: &[],
-        extensions: &["raw", "img"],
+        extensions: &["raw"],
         way: "say what they are, as in `rayset build --raw 256x256x128,u16 volume.raw -o volume.rset`, or name the header \
               that comes with them (.mhd, .nhdr, .hdr)",
     },
@@ -67,12 +103,6 @@ pub(super) const KINDS: &[Kind] = &[
         marks: &[(0, b"BgeoV"), (0, b"\x7fNSJb"), (0, b"PGEOMETRY"), (0, b"scf1")],
         extensions: &["bgeo", "geo", "bgeo.sc", "bgeosc"],
         way: "Houdini's File node writes it as PLY, and `splashsurf convert` makes VTK of particles",
-    },
-    Kind {
-        what: "an image in DICOM",
-        marks: &[(128, b"DICM")],
-        extensions: &["dcm", "dicom", "ima"],
-        way: "`dcm2niix FOLDER` makes one volume of a series, in NIfTI, that opens",
     },
     Kind {
         what: "a scene in USD",
@@ -98,12 +128,6 @@ pub(super) const KINDS: &[Kind] = &[
         marks: &[],
         extensions: &["ept.json"],
         way: "`pdal translate ept://FOLDER points.laz` makes a LAZ of it",
-    },
-    Kind {
-        what: "an array in Zarr",
-        marks: &[],
-        extensions: &["zarr", ".zarray", ".zgroup", ".zmetadata", "zarr.json"],
-        way: "write it as an array of NumPy, as in `numpy.save(\"points.npy\", zarr.open(\"…\")[:])`",
     },
     Kind {
         what: "a file of ADIOS, as openPMD writes them",
@@ -307,15 +331,8 @@ pub(super) const KINDS: &[Kind] = &[
     },
     Kind {
         what: "a picture",
-        marks: &[
-            (0, b"\x89PNG"),
-            (0, b"\xff\xd8\xff"),
-            (0, b"II*\0"),
-            (0, b"MM\0*"),
-            (0, b"GIF8"),
-            (0, b"\x76\x2f\x31\x01"),
-        ],
-        extensions: &["png", "jpg", "jpeg", "tif", "tiff", "exr"],
+        marks: &[(0, b"\x89PNG"), (0, b"\xff\xd8\xff"), (0, b"GIF8"), (0, b"\x76\x2f\x31\x01")],
+        extensions: &["png", "jpg", "jpeg", "exr"],
         way: PICTURE,
     },
     Kind {

@@ -1,29 +1,64 @@
 //! Files that are recognized but not read: what they are, and which tool or option makes one of
 //! them that opens.
 
+mod kinds;
+
 use std::io::Read;
 use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
 
-use super::refused_kinds::{KINDS, Kind};
-use super::roles::excerpt;
+use rayset_files::points::roles::excerpt;
+use rayset_store::storage::input_file::InputFile;
+
+use self::kinds::{KINDS, Kind, VOLUMES};
 
 /// Bytes that are looked at of what is compressed.
 const HEAD_BYTES: u64 = 4096;
+/// Files of a folder that are looked at.
+const MOST_ENTRIES: usize = 32;
+
+impl Kind {
+    /// Whether a file that begins so has a mark of this kind.
+    fn begins(&self, head: &[u8]) -> bool {
+        self.marks.iter().any(|(at, mark)| head.get(*at..).is_some_and(|head| head.starts_with(mark)))
+    }
+
+    /// What it is, that it is not read, and what to do.
+    fn advice(&self) -> String {
+        format!("this is {}, which is not read; {}", self.what, self.way)
+    }
+}
+
+/// All kinds, those of volumes first.
+fn kinds() -> impl Iterator<Item = &'static Kind> {
+    VOLUMES.iter().chain(KINDS)
+}
+
+/// What a file is that may be a volume, by its first bytes, and what to do.
+pub(crate) fn of_volume_marked(head: &[u8]) -> Option<String> {
+    VOLUMES.iter().find(|kind| kind.begins(head)).map(Kind::advice)
+}
+
+/// What a folder is that may be a volume, or a file by its name, and what to do.
+pub(crate) fn of_volume_named(path: &Path, name: &str) -> Option<String> {
+    let kind = if path.is_dir() { folder(path, name) } else { named(name) }?;
+    VOLUMES.iter().find(|volume| volume.what == kind.what).map(Kind::advice)
+}
 
 /// What a file is that no reader takes, why not, and what to do. `known` are the endings of names
 /// that are read.
-pub(super) fn advice(path: &Path, head: &[u8], known: &str) -> String {
+pub(crate) fn advice(path: &Path, head: &[u8], known: &str) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     if path.is_dir() {
-        return of_folder(path, &name);
+        let otherwise = || "this is a folder; give the files in it that are to be read".to_owned();
+        return folder(path, &name).map_or_else(otherwise, Kind::advice);
     }
     if head.is_empty() {
         return "this file is empty, or is no regular file".into();
     }
     if let Some(kind) = recognized(head, &name) {
-        return format!("this is {}, which is not read; {}", kind.what, kind.way);
+        return kind.advice();
     }
     if head.starts_with(&[0x1f, 0x8b]) {
         return of_gzip(head, &name);
@@ -78,34 +113,29 @@ fn json(head: &[u8], name: &str) -> Option<&'static Kind> {
     } else {
         "json"
     };
-    KINDS.iter().find(|kind| kind.extensions.contains(&extension))
+    kinds().find(|kind| kind.extensions.contains(&extension))
 }
 
 /// The kind whose ending a name has.
 fn named(name: &str) -> Option<&'static Kind> {
     // Of names that are whole, as `cloud.js` is, an ending alone is none.
     let is = |e: &&str| name.ends_with(&format!(".{e}")) || e.contains('.') && name == *e;
-    KINDS.iter().find(|kind| kind.extensions.iter().any(is))
+    kinds().find(|kind| kind.extensions.iter().any(is))
 }
 
 /// The kind whose marks a file has.
 fn marked(head: &[u8]) -> Option<&'static Kind> {
-    let has = |kind: &&Kind| {
-        kind.marks.iter().any(|(at, mark)| head.get(*at..).is_some_and(|h| h.starts_with(mark)))
-    };
-    KINDS
-        .iter()
-        .find(has)
-        .or_else(|| KINDS.iter().find(|kind| kind.extensions.contains(&"gro") && is_molecule(head)))
+    let molecule = || kinds().find(|kind| kind.extensions.contains(&"gro") && is_molecule(head));
+    kinds().find(|kind| kind.begins(head)).or_else(molecule)
 }
 
 /// Whether a file says by its first bytes that it is of a kind that is not read, whatever its name.
-pub(super) fn is_marked(head: &[u8]) -> bool {
+pub(crate) fn is_marked(head: &[u8]) -> bool {
     marked(head).is_some()
 }
 
 /// Whether a file is known not to be read, by its first bytes or its name.
-pub(super) fn is_recognized(path: &Path, head: &[u8]) -> bool {
+pub(crate) fn is_recognized(path: &Path, head: &[u8]) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     recognized(head, &name).is_some()
 }
@@ -141,28 +171,31 @@ fn of_gzip(head: &[u8], name: &str) -> String {
     }
 }
 
-fn of_folder(path: &Path, name: &str) -> String {
+/// What a folder is: by the files that it has, or as formats do of which folders have the names.
+fn folder(path: &Path, name: &str) -> Option<&'static Kind> {
     let has = |file: &str| path.join(file).exists();
-    let kind = if has("metadata.json") && has("octree.bin") || has("cloud.js") {
-        recognized(&[], "cloud.js")
-    } else if has(".zarray") || has(".zgroup") || has("zarr.json") {
-        recognized(&[], "zarr.json")
-    } else if has("ept.json") {
-        recognized(&[], "ept.json")
-    } else if has("Header") && has("Level_0")
-        || name.strip_prefix("output_").is_some_and(|n| has(&format!("info_{n}.txt")))
-    {
-        // Of AMReX and of RAMSES.
-        recognized(&[], ".athdf")
-    } else if has("points3D.bin") && has("images.bin") {
-        recognized(&[], "points3d.bin")
-    } else {
-        // Of these formats folders have the names.
-        let is_folder = [".zarr", ".bp", ".bp4", ".bp5"].iter().any(|ending| name.ends_with(ending));
-        recognized(&[], name).filter(|_| is_folder)
-    };
-    match kind {
-        Some(kind) => format!("this is {}, which is not read; {}", kind.what, kind.way),
-        None => "this is a folder; give the files in it that are to be read".into(),
-    }
+    // Of AMReX, and of RAMSES.
+    let is_amr = has("Header") && has("Level_0")
+        || name.strip_prefix("output_").is_some_and(|n| has(&format!("info_{n}.txt")));
+    let by_files = [
+        (has("metadata.json") && has("octree.bin") || has("cloud.js"), "cloud.js"),
+        (has(".zarray") || has(".zgroup") || has("zarr.json"), "zarr.json"),
+        (has("ept.json"), "ept.json"),
+        (is_amr, ".athdf"),
+        (has("points3D.bin") && has("images.bin"), "points3d.bin"),
+        ([".zarr", ".n5", ".bp", ".bp4", ".bp5"].iter().any(|ending| name.ends_with(ending)), name),
+        (has_dicom(path), ".dcm"),
+    ];
+    by_files.into_iter().find(|(is, _)| *is).and_then(|(_, known)| named(known))
+}
+
+/// Whether one of the first files of a folder is a slice of DICOM.
+fn has_dicom(path: &Path) -> bool {
+    let entries = std::fs::read_dir(path).into_iter().flatten().take(MOST_ENTRIES).filter_map(Result::ok);
+    let mut files = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_file()));
+    files.any(|file| {
+        let mut head = Vec::new();
+        let read = InputFile::open(&file.path()).and_then(|file| file.take(132).read_to_end(&mut head));
+        read.is_ok() && VOLUMES[0].begins(&head)
+    })
 }
