@@ -260,6 +260,12 @@ class Cloud(_Data):
         return self.points
 
     @property
+    def copies(self) -> int:
+        """Number of points of the input that were equal to others in everything, and became one
+        with them, of the sum of their weights."""
+        return int(self._header["copies"])
+
+    @property
     def skipped(self) -> int:
         """Number of points of the input that were left out."""
         return int(self._header["skipped"])

@@ -105,6 +105,7 @@ impl CloudFile {
         let header = self.cloud.header();
         let all = PyDict::new(py);
         all.set_item("points", header.points)?;
+        all.set_item("copies", header.copies)?;
         all.set_item("skipped", header.skipped)?;
         all.set_item("bounds", (triple(header.bounds.min), triple(header.bounds.max)))?;
         all.set_item("radius", (header.radius.min(), header.radius.max()))?;

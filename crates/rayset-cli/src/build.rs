@@ -256,6 +256,7 @@ fn options(args: &BuildArgs) -> Result<BuildOptions> {
 #[derive(serde::Serialize)]
 pub(crate) struct Summary {
     points: u64,
+    copies: u64,
     skipped_position: u64,
     skipped_radius: u64,
     skipped_weight: u64,
@@ -287,6 +288,7 @@ impl Summary {
         let seconds = read + spacing + write;
         Self {
             points: built.points,
+            copies: header.copies,
             skipped_position: built.skipped.position,
             skipped_radius: built.skipped.radius,
             skipped_weight: built.skipped.weight,
@@ -318,6 +320,12 @@ fn describe(output: &Path, built: &BuildReport) -> Result<()> {
         summary.pages,
         100.0 * summary.index_fraction
     ));
+    if built.header.copies > 0 {
+        report::say(format_args!(
+            "{} more points were equal to one of these, and their weights are in its own",
+            report::count(built.header.copies)
+        ));
+    }
     let skipped = built.skipped;
     if skipped.total() > 0 {
         report::say(format_args!(

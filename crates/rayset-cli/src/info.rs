@@ -41,6 +41,7 @@ pub(crate) struct InfoArgs {
 #[derive(serde::Serialize)]
 struct Info {
     points: u64,
+    copies: u64,
     skipped: u64,
     bounds_min: [f64; 3],
     bounds_max: [f64; 3],
@@ -182,6 +183,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
     let plan = plan.map_err(|least| anyhow::anyhow!("no budget below {least} bytes would do"))?;
     let info = Info {
         points: h.points,
+        copies: h.copies,
         skipped: h.skipped,
         bounds_min: h.bounds.min.to_array(),
         bounds_max: h.bounds.max.to_array(),
@@ -304,8 +306,12 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
         Column::Varying { min, max } => format!("{} to {}", report::number(min), report::number(max)),
     };
     let vector = |v: [f64; 3]| v.map(report::number).join(" ");
+    let copies = match info.copies {
+        0 => String::new(),
+        n => format!("; {} more were equal to one of these, whose weight has theirs", report::count(n)),
+    };
     report::say(format_args!(
-        "points      {} ({} invalid records skipped)",
+        "points      {} ({} invalid records skipped{copies})",
         report::count(info.points),
         info.skipped
     ));

@@ -151,6 +151,9 @@ pub struct Header {
     /// The step of the coordinates of the sources along each axis, the largest of several: no
     /// digits below it are known. `None` if they do not say.
     pub step: Option<[f64; 3]>,
+    /// Points of the sources that were equal to others in everything, and became one with them, of
+    /// the sum of their weights.
+    pub copies: u64,
     /// The layout of the columns of a run, derived from the columns.
     #[doc(hidden)]
     pub columns: ColumnLayout,
@@ -301,6 +304,7 @@ impl Header {
         header.decode_columns(&columns).map_err(in_columns)?;
         header.columns = header.column_layout(header.attributes.len());
         (header.up, header.step) = (words.up(), words.step());
+        header.copies = words.copies;
         (header.crs, header.sources) = (words.crs, words.sources);
         header.check_ranges(file.header()).map_err(wrong)?;
         Ok(header)
@@ -336,6 +340,7 @@ impl Header {
             sources: Vec::new(),
             up: None,
             step: None,
+            copies: 0,
             columns: ColumnLayout::default(),
         })
     }

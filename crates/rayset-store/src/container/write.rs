@@ -32,12 +32,19 @@ pub struct Metadata {
     /// The step of the coordinates along each axis, if the sources say so: the largest, of several.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<[f64; 3]>,
+    /// Points of the sources that were equal to others in everything, and became one with them.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub copies: u64,
     /// Names of feature bits, by bit number.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub features: BTreeMap<String, String>,
     /// The required features of the file that it is written to.
     #[serde(skip)]
     pub required_features: u64,
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 impl Metadata {

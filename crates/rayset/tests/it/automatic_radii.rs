@@ -28,7 +28,7 @@ fn measured(points: &[Point]) -> Vec<(Point, f64)> {
     let (cloud, _) = build::run_in_memory(vec![Box::new(source)], &options, &BuildControl::default())
         .expect("the cloud builds");
     let all = cloud.sample(usize::MAX).expect("the cloud reads");
-    assert_eq!(all.len(), points.len(), "a sample of all points");
+    assert_eq!(all.len() as u64 + cloud.header().copies, points.len() as u64, "a sample of all points");
     let radius = cloud.sample_schema().find("radius").expect("a column of radii");
     (0..all.len()).map(|i| (all.position[i], all.columns[radius].get(i))).collect()
 }

@@ -129,6 +129,11 @@ fn radii_that_are_measured_in_parts_are_those_of_a_local_build() {
         vec![Box::new(ArraySource::new(position.collect(), vec![]))]
     };
     check("a crowd", &crowd, &measured());
+    // Copies that are merged: everywhere, in several sources, and with weights of their own.
+    let twice = || vec![scan(5000, 6), scan(5000, 6)];
+    check("twice the same", &twice, &options);
+    let weighted = BuildOptions { weight: Some(Rule::Attribute("red".into())), ..options };
+    check("twice the same with weights", &twice, &weighted);
 }
 
 #[test]

@@ -15,6 +15,7 @@ mod circles;
 mod colormaps;
 mod colors;
 mod common;
+mod copies;
 mod corpus;
 mod cut_solids;
 mod e57;

@@ -381,6 +381,7 @@ impl Assembler {
             sources: survey.metadata.sources.clone(),
             up: survey.metadata.up(),
             step: survey.metadata.step(),
+            copies: survey.metadata.copies,
             columns: self.columns,
         };
         if survey.count == 0 {

@@ -90,6 +90,9 @@ pub(super) struct Sketch {
     latest: Crowd,
     /// The position of the latest record.
     place: Option<DVec3>,
+    record: Vec<u8>,
+    /// Records that are equal to the one before.
+    pub(super) copies: u64,
     pub(super) crowds: Vec<Crowd>,
     pub(super) count: u64,
     pub(super) boxes: Vec<Aabb>,
@@ -101,8 +104,18 @@ impl Sketch {
     /// Boxes are of `grain` records at first, and of twice as many whenever there would be more
     /// than `most_boxes`.
     pub(super) fn new(keys: KeyMaker, grain: u64, most_boxes: usize) -> Self {
-        let (latest, place) = (Crowd::new(0..0, Aabb::EMPTY, 0), None);
-        Self { keys, latest, place, crowds: Vec::new(), count: 0, boxes: Vec::new(), grain, most_boxes }
+        Self {
+            keys,
+            latest: Crowd::new(0..0, Aabb::EMPTY, 0),
+            place: None,
+            record: Vec::new(),
+            copies: 0,
+            crowds: Vec::new(),
+            count: 0,
+            boxes: Vec::new(),
+            grain,
+            most_boxes,
+        }
     }
 
     /// Includes the next record.
@@ -123,7 +136,11 @@ impl Sketch {
             self.end_crowd();
             self.latest = Crowd { code, ..Crowd::new(self.count..self.count, Aabb::EMPTY, 0) };
         }
-        self.latest.places += u64::from(self.place != Some(position));
+        let begins = self.place != Some(position);
+        self.copies += u64::from(!begins && self.record == record);
+        self.record.clear();
+        self.record.extend_from_slice(record);
+        self.latest.places += u64::from(begins);
         self.place = Some(position);
         self.count += 1;
         self.latest.records.end = self.count;

@@ -1,15 +1,17 @@
 //! Building a cloud from points, in bounded memory.
 //!
-//! [`run`] gives the overview: records are read and checked (`ingest`), given a radius if they have
-//! none (`spacing`), sorted into file order in buckets that fit in memory (`partition`), turned
-//! into runs and nodes (`subtree`), and laid out in pages (`assemble`). The result depends only on
-//! the input and on [`BuildOptions`] other than `memory_bytes`, `threads` and `temp_dir`.
+//! [`run`] gives the overview: records are read and checked (`ingest`); given a radius if they have
+//! none (`spacing`), and those that are equal merged if they are many (`copies`); sorted into file
+//! order in buckets that fit in memory (`partition`); turned into runs and nodes (`subtree`); and
+//! laid out in pages (`assemble`). The result depends only on the input and on [`BuildOptions`]
+//! other than `memory_bytes`, `threads` and `temp_dir`.
 
 mod assemble;
 mod builder;
 mod columns;
 mod context;
 mod control;
+mod copies;
 mod curve;
 mod depths;
 mod error;

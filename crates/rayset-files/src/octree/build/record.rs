@@ -48,6 +48,11 @@ impl RecordLayout {
         self.color_at() + COLOR_BYTES * usize::from(self.has_color) + before
     }
 
+    /// The same layout with a weight behind the radius.
+    pub(super) fn with_weight(&self) -> Self {
+        Self { has_weight: true, ..self.clone() }
+    }
+
     /// The same layout with a radius in front of the other columns.
     pub(super) fn with_radius(&self) -> Self {
         Self { has_radius: true, ..self.clone() }

@@ -13,6 +13,7 @@
 
 use super::context::Context;
 use super::control::Stage;
+use super::copies;
 use super::curve::{Boxes, Curve, GRAIN, Sketch, most_boxes};
 use super::error::BuildError;
 use super::ingest::Ingested;
@@ -37,7 +38,8 @@ pub(super) fn curve_keys(survey: &Survey) -> KeyMaker {
     KeyMaker { root: survey.root, radius: Some(f32::MIN_POSITIVE) }
 }
 
-/// Rewrites all records, each with a radius.
+/// Rewrites all records, each with a radius, in the order of the curve; equal ones as one if they
+/// are many.
 pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
     let Ingested { spill, survey } = ingested;
     let (keys, stride) = (curve_keys(&survey), survey.layout.stride());
@@ -52,6 +54,7 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
     drop(spill);
     let CurveWriter { mut sketch, writer, .. } = writer;
     sketch.end_crowd();
+    let copies = sketch.copies;
     let spill = writer.finish().map_err(context.io("write temporary files in"))?;
     let mut boxes = Boxes::default();
     boxes.push(&sketch.boxes, sketch.grain, sketch.count);
@@ -61,7 +64,11 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
     let measured = curve.measure(context, survey.auto_scale, &(0..survey.count), store, |_| Ok(()))?;
     measured.check_range(context.options.length_scale, &survey)?;
     let radius_range = settle(context, &curve, survey.count, &measured, &measured.typical(&survey))?;
-    Ok(Ingested { spill, survey: survey.with_measured_radii(radius_range) })
+    let measured = Ingested { spill, survey: survey.with_measured_radii(radius_range) };
+    if copies::are_many(copies, measured.survey.count) {
+        return copies::merge(context, measured);
+    }
+    Ok(measured)
 }
 
 /// Passes records on as they are.

@@ -13,7 +13,7 @@ use crate::octree::format::{AttributeInfo, Column};
 use crate::octree::layout::{ColumnLayout, RootCell};
 use crate::points::{ColumnInfo, PointSource};
 use rayset_base::geometry::{Aabb, DVec3};
-use rayset_store::container::{Identity, Metadata, RecordSum};
+use rayset_store::container::{Identity, Metadata, RecordSum, StreamHash};
 
 /// Largest absolute coordinate, radius and weight; its reciprocal is the smallest radius. Their
 /// squares are in the range of `f32`.
@@ -213,6 +213,13 @@ impl Totals {
     }
 }
 
+/// What is left when copies are merged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Merged {
+    pub(super) points: u64,
+    pub(super) weight_range: (f32, f32),
+}
+
 /// What is known of all records.
 #[derive(Clone, Debug)]
 pub(super) struct Survey {
@@ -268,6 +275,16 @@ impl Survey {
     /// The same once every record has a radius, within `range`.
     pub(super) fn with_measured_radii(self, range: (f32, f32)) -> Self {
         Self { layout: self.layout.with_radius(), radius: None, radius_range: range, ..self }
+    }
+
+    /// The same once copies have been merged, and every point has a weight.
+    pub(super) fn with_merged_copies(mut self, merged: Merged) -> Self {
+        self.metadata.copies = self.count - merged.points;
+        // The same records without it are other pages.
+        let mut hash = StreamHash::new("copies merged");
+        hash.update(&self.identity.0);
+        let (identity, weight_range, count) = (hash.identity(), merged.weight_range, merged.points);
+        Self { identity, layout: self.layout.with_weight(), weight_range, count, ..self }
     }
 
     /// Whether radii are still to be measured.

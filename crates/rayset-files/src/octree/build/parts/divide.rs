@@ -31,33 +31,34 @@ pub(super) fn pyramid(job: &Job<'_>) -> Pyramid {
 }
 
 /// What was counted: records, the sum of their hashes, the range of their radii where these were
-/// measured.
+/// measured, and that of their weights where copies were merged.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Counted {
     pub(super) count: u64,
     pub(super) sum: u64,
     pub(super) radius_range: (f32, f32),
+    pub(super) weight_range: (f32, f32),
 }
 
 /// Numbers of a [`Counted`] before the counters.
-const FRONT: usize = 4;
+const FRONT: usize = 6;
 
 impl Counted {
     /// The payload of a part that has counted.
     pub(super) fn encode(&self, pyramid: &Pyramid) -> Vec<u8> {
-        let (least, most) = self.radius_range;
-        let front = [self.count, self.sum, least.to_bits().into(), most.to_bits().into()];
+        let (radius, weight) = (self.radius_range, self.weight_range);
+        let ranges = [radius.0, radius.1, weight.0, weight.1].map(|v| v.to_bits().into());
         let counters = pyramid.counters().map(|counter| counter.load(Ordering::Relaxed));
-        encode(front.into_iter().chain(counters))
+        encode([self.count, self.sum].into_iter().chain(ranges).chain(counters))
     }
 
     pub(super) fn of(part: &Part) -> Result<Self, BuildError> {
         let numbers = numbers(part, None)?;
-        let &[count, sum, least, most, ..] = numbers.as_slice() else {
+        let Some((&[count, sum, ref ranges @ ..], _)) = numbers.split_first_chunk::<FRONT>() else {
             return Err(part.wrong("it has no counts"));
         };
-        let radius_range = (f32::from_bits(least as u32), f32::from_bits(most as u32));
-        Ok(Self { count, sum, radius_range })
+        let [a, b, c, d] = [0, 1, 2, 3].map(|i| f32::from_bits(ranges[i] as u32));
+        Ok(Self { count, sum, radius_range: (a, b), weight_range: (c, d) })
     }
 }
 
@@ -82,8 +83,13 @@ fn counters(part: &Part, cells: usize) -> Result<Vec<u64>, BuildError> {
 }
 
 impl Division {
-    /// Divides the octree by the counts of all parts of `step`, of records of `stride` bytes.
-    pub(super) fn load(job: &Job<'_>, step: BuildStep, stride: usize) -> Result<Self, BuildError> {
+    /// Divides the octree by the counts of all parts of `step`, which must be `count` records of
+    /// `stride` bytes.
+    pub(super) fn load(
+        job: &Job<'_>,
+        step: BuildStep,
+        (count, stride): (u64, usize),
+    ) -> Result<Self, BuildError> {
         let pyramid = pyramid(job);
         let cells = pyramid.counters().count();
         let mut counted = 0;
@@ -94,10 +100,9 @@ impl Division {
             pyramid.counters().zip(numbers).map(add).for_each(drop);
             Ok(())
         })?;
-        let count = job.overview.survey.count;
         if counted != count {
             let what =
-                format!("the parts of `{step}` have counted {counted} points, where {count} were read");
+                format!("the parts of `{step}` have counted {counted} points, where there are {count}");
             return Err(BuildError::Part { path: job.exchange.folder.clone(), what });
         }
         let parts = job.exchange.parts;

@@ -228,9 +228,9 @@ impl BuildParts {
             BuildStep::SpacingScatter => scatter(&job, &spacing::curve_sorting(&job.overview.survey)),
             BuildStep::SpacingSort => spacing::sort(&job),
             BuildStep::SpacingMeasure => spacing::measure(&job),
-            BuildStep::Count if measures => spacing::count(&job, &octree_sorting(&job.overview.survey)),
-            BuildStep::Count => count(&job, &octree_sorting(&job.overview.survey)),
-            BuildStep::Scatter => scatter(&job, &octree_sorting(&job.overview.survey)),
+            BuildStep::Count if measures => spacing::count(&job, &octree_sorting(&job)?),
+            BuildStep::Count => count(&job, &octree_sorting(&job)?),
+            BuildStep::Scatter => scatter(&job, &octree_sorting(&job)?),
             BuildStep::Order => order(&job),
             _ => Err(BuildError::Option { option: "step", what: format!("`{step}` needs the input") }),
         }
@@ -285,25 +285,24 @@ impl BuildParts {
 
 /// What is known of all records when they are put into the order of the octree.
 fn octree_survey(job: &Job<'_>) -> Result<Survey, BuildError> {
-    let survey = job.overview.survey.clone();
-    if !survey.measures_radii() {
-        return Ok(survey);
-    }
-    let range = spacing::radius_range(job)?;
-    Ok(survey.with_measured_radii(range))
+    let survey = &job.overview.survey;
+    if survey.measures_radii() { spacing::settled_survey(job) } else { Ok(survey.clone()) }
 }
 
 /// The order of the octree; of records with radii, if these were measured.
-fn octree_sorting(survey: &Survey) -> Sorting {
-    let measured = survey.layout.with_radius();
-    let layout = if survey.measures_radii() { &measured } else { &survey.layout };
-    Sorting {
+fn octree_sorting(job: &Job<'_>) -> Result<Sorting, BuildError> {
+    let survey = &job.overview.survey;
+    let measured = if survey.measures_radii() { Some(spacing::settled_layout(job)?) } else { None };
+    // Copies are merged by the step that counts.
+    let records = if job.step == BuildStep::Count { survey.count } else { spacing::points(job)? };
+    Ok(Sorting {
         keys: survey.keys(),
-        stride: layout.stride(),
+        records,
+        stride: measured.as_ref().unwrap_or(&survey.layout).stride(),
         stage: Stage::Write,
         count: BuildStep::Count,
         scatter: BuildStep::Scatter,
-    }
+    })
 }
 
 /// The records of a part that are counted or scattered, and the step of whose data they are.
@@ -344,7 +343,7 @@ fn order(job: &Job<'_>) -> Result<(), BuildError> {
     let path = destination.path().to_owned();
     let failed = move |source| BuildError::Io { action: "write", path: path.clone(), source };
     let mut frames = FrameWriter::new(data.writer_at(0)?, failed);
-    work::order(job, &context, &octree_sorting(&job.overview.survey), &packer, &mut frames)?;
+    work::order(job, &context, &octree_sorting(job)?, &packer, &mut frames)?;
     let bytes = frames.finish()?;
     job.publish(Some((data, bytes)), &[])
 }
@@ -377,7 +376,7 @@ fn replay_all(
         })
     })?;
     if is_open > 0 || done != survey.count {
-        let what = format!("the parts of `order` have {done} points, where {} were read", survey.count);
+        let what = format!("the parts of `order` have {done} points, where there are {}", survey.count);
         return Err(BuildError::Part { path: job.exchange.folder.clone(), what });
     }
     Ok(())

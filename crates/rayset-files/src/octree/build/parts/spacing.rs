@@ -5,13 +5,14 @@ use std::io::{BufReader, BufWriter, Read, Write};
 
 use super::super::context::Context;
 use super::super::control::Stage;
+use super::super::copies::{self, Merger};
 use super::super::curve::{Boxes, Crowd, Curve, GRAIN, Sketch, most_boxes};
 use super::super::error::BuildError;
 use super::super::pieces::Assemble;
 use super::super::plan::Cell;
-use super::super::record;
+use super::super::record::{self, RecordLayout};
 use super::super::spacing::{Copy, curve_keys, stored};
-use super::super::survey::{NO_RANGE, Survey};
+use super::super::survey::{Merged, NO_RANGE, Survey};
 use super::super::typical::{Measured, Typical};
 use super::divide::{self, Counted};
 use super::exchange::{DataFile, Part};
@@ -33,6 +34,7 @@ const POSITION: usize = 24;
 pub(super) fn curve_sorting(survey: &Survey) -> Sorting {
     Sorting {
         keys: curve_keys(survey),
+        records: survey.count,
         stride: survey.layout.stride(),
         stage: Stage::Spacing,
         count: BuildStep::SpacingCount,
@@ -109,10 +111,11 @@ fn corners(bounds: &Aabb) -> [u64; 6] {
     [min[0], min[1], min[2], max[0], max[1], max[2]].map(f64::to_bits)
 }
 
-/// Number of records and sum of their hashes, grain, numbers of boxes and crowds; corners of the
-/// boxes; range, corners and places of the crowds.
+/// Number of records, sum of their hashes, copies, grain, numbers of boxes and crowds; corners of
+/// the boxes; range, corners and places of the crowds.
 fn encode(sketch: &Sketch, sum: u64) -> Vec<u8> {
-    let front = [sketch.count, sum, sketch.grain, sketch.boxes.len() as u64, sketch.crowds.len() as u64];
+    let (boxes, crowds) = (sketch.boxes.len() as u64, sketch.crowds.len() as u64);
+    let front = [sketch.count, sum, sketch.copies, sketch.grain, boxes, crowds];
     let boxes = sketch.boxes.iter().flat_map(corners);
     let crowds = sketch.crowds.iter().flat_map(|crowd| {
         let range = [crowd.records.start, crowd.records.end];
@@ -125,6 +128,8 @@ fn encode(sketch: &Sketch, sum: u64) -> Vec<u8> {
 struct Stretch {
     count: u64,
     sum: u64,
+    /// Records that are equal to the one before.
+    copies: u64,
     grain: u64,
     boxes: Vec<Aabb>,
     crowds: Vec<Crowd>,
@@ -137,7 +142,7 @@ impl Stretch {
     }
 
     fn decode(numbers: &[u64]) -> Option<Self> {
-        let (&[count, sum, grain, boxes, crowds], rest) = numbers.split_first_chunk()?;
+        let (&[count, sum, copies, grain, boxes, crowds], rest) = numbers.split_first_chunk()?;
         if grain == 0 || boxes != count.div_ceil(grain) {
             return None;
         }
@@ -153,6 +158,7 @@ impl Stretch {
         Some(Self {
             count,
             sum,
+            copies,
             grain,
             boxes: boxes.chunks_exact(6).map(bounds).collect(),
             crowds: rest.chunks_exact(9).map(crowd).collect(),
@@ -227,29 +233,53 @@ fn typical(job: &Job<'_>) -> Result<Typical, BuildError> {
     Ok(all.typical(&job.overview.survey))
 }
 
-/// Writes the records of a part's stretch with their radii, and counts them by octree cells.
+/// Whether copies are merged: all parts decide alike.
+fn merges(job: &Job<'_>) -> Result<bool, BuildError> {
+    let mut copies = 0_u64;
+    job.all(BuildStep::SpacingSort, |part| {
+        copies = copies.saturating_add(Stretch::of(&part)?.copies);
+        Ok(())
+    })?;
+    Ok(copies::are_many(copies, job.overview.survey.count))
+}
+
+/// The layout of records with radii.
+pub(super) fn settled_layout(job: &Job<'_>) -> Result<RecordLayout, BuildError> {
+    let layout = job.overview.survey.layout.with_radius();
+    Ok(if merges(job)? { layout.with_weight() } else { layout })
+}
+
+/// Writes the records of a part's stretch with their radii, copies merged if they are many, and
+/// counts them by octree cells.
 pub(super) fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> {
-    let typical = typical(job)?;
+    let (typical, merges) = (typical(job)?, merges(job)?);
     let data = job.create_data()?;
     let destination = data.destination.clone();
     let context = job.context(&destination);
-    let mut counted = Counted { count: 0, sum: 0, radius_range: NO_RANGE };
+    let survey = &job.overview.survey;
+    let mut counted = Counted { count: 0, sum: 0, radius_range: NO_RANGE, weight_range: NO_RANGE };
+    let mut merger = Merger::new(&survey.layout.with_radius(), survey.weight);
     let mut output = BufWriter::with_capacity(BUFFER_BYTES, data.writer_at(0)?);
     let pyramid = divide::pyramid(job);
     let mut whole = Vec::with_capacity(sorting.stride);
+    let mut write = |record: &[u8]| {
+        counted.count += 1;
+        counted.sum = counted.sum.wrapping_add(record_hash(record));
+        pyramid.count(&sorting.keys, record);
+        output.write_all(record).map_err(|e| data.failed(e))
+    };
+    let mut radius_range = NO_RANGE;
     settle(job, &context, |record, measured| {
         let radius = typical.settled(measured);
+        radius_range = (radius_range.0.min(radius), radius_range.1.max(radius));
         whole.clear();
         whole.extend_from_slice(&record[..POSITION]);
         whole.extend_from_slice(&radius.to_le_bytes());
         whole.extend_from_slice(&record[POSITION..]);
-        counted.count += 1;
-        counted.sum = counted.sum.wrapping_add(record_hash(&whole));
-        let range = &mut counted.radius_range;
-        *range = (range.0.min(radius), range.1.max(radius));
-        pyramid.count(&sorting.keys, &whole);
-        output.write_all(&whole).map_err(|e| data.failed(e))
+        if merges { merger.follow(&whole, &mut write) } else { write(&whole) }
     })?;
+    merger.end(&mut write)?;
+    (counted.radius_range, counted.weight_range) = (radius_range, merger.merged.weight_range);
     output.flush().map_err(|e| data.failed(e))?;
     drop(output);
     let bytes = counted.count * sorting.stride as u64;
@@ -312,13 +342,23 @@ pub(super) fn settled_records(job: &Job<'_>, stride: usize) -> Result<Records, B
     Records::of(job, &part, (counted.count, counted.sum), stride)
 }
 
-/// The range of all radii.
-pub(super) fn radius_range(job: &Job<'_>) -> Result<(f32, f32), BuildError> {
-    let mut range = NO_RANGE;
+/// What is known of all records when they have radii and copies are merged.
+pub(super) fn settled_survey(job: &Job<'_>) -> Result<Survey, BuildError> {
+    let (mut radii, mut merged) = (NO_RANGE, Merged { points: 0, weight_range: NO_RANGE });
+    let join = |a: (f32, f32), b: (f32, f32)| (a.0.min(b.0), a.1.max(b.1));
     job.all(BuildStep::Count, |part| {
-        let (least, most) = Counted::of(&part)?.radius_range;
-        range = (range.0.min(least), range.1.max(most));
+        let counted = Counted::of(&part)?;
+        radii = join(radii, counted.radius_range);
+        merged.weight_range = join(merged.weight_range, counted.weight_range);
+        merged.points = merged.points.saturating_add(counted.count);
         Ok(())
     })?;
-    Ok(range)
+    let survey = job.overview.survey.clone().with_measured_radii(radii);
+    Ok(if merges(job)? { survey.with_merged_copies(merged) } else { survey })
+}
+
+/// The number of points that are in the octree.
+pub(super) fn points(job: &Job<'_>) -> Result<u64, BuildError> {
+    let survey = &job.overview.survey;
+    if survey.measures_radii() && merges(job)? { Ok(settled_survey(job)?.count) } else { Ok(survey.count) }
 }

@@ -22,7 +22,8 @@ use rayset_store::spill::{Joined, Spill};
 /// An order of records, by which they are counted, divided among the parts, and sorted.
 pub(super) struct Sorting {
     pub(super) keys: KeyMaker,
-    /// Size of a record in bytes.
+    /// Number of records, and the size of one in bytes.
+    pub(super) records: u64,
     pub(super) stride: usize,
     pub(super) stage: Stage,
     /// The steps that count and scatter.
@@ -72,7 +73,7 @@ pub(super) fn count(
     let pyramid = divide::pyramid(job);
     sorting.partition(context, records.count).count(Region::all(&records.spill, records.count), &pyramid)?;
     let (count, sum) = (records.count, records.sum);
-    Ok(Counted { count, sum, radius_range: NO_RANGE }.encode(&pyramid))
+    Ok(Counted { count, sum, radius_range: NO_RANGE, weight_range: NO_RANGE }.encode(&pyramid))
 }
 
 /// Writes the records of a part, bucket by bucket, to `data`; returns its payload, the count and
@@ -84,7 +85,7 @@ pub(super) fn scatter(
     records: &Records,
     data: &DataFile,
 ) -> Result<(Vec<u8>, u64), BuildError> {
-    let division = Division::load(job, sorting.count, sorting.stride)?;
+    let division = Division::load(job, sorting.count, (sorting.records, sorting.stride))?;
     let counted = job.own(sorting.count)?;
     let counts = division.counts(&counted)?;
     if counts.iter().sum::<u64>() != records.count {
@@ -182,7 +183,7 @@ pub(super) fn order<P: Pack>(
     pack: &P,
     out: &mut impl Assemble<P::Piece>,
 ) -> Result<(), BuildError> {
-    let division = Division::load(job, sorting.count, sorting.stride)?;
+    let division = Division::load(job, sorting.count, (sorting.records, sorting.stride))?;
     let buckets = division.ranges[job.part as usize - 1].clone();
     let gathered = Gathered::load(job, sorting, &division, &buckets)?;
     let partition = sorting.partition(context, gathered.count);

@@ -1,0 +1,120 @@
+//! Points that are equal in every column: where they are many, those of one place become one point,
+//! whose weight is the sum of theirs.
+//!
+//! It is a pass of its own over records with measured radii, in the order of the curve. Equal
+//! records follow each other there, and have one radius. What it makes depends on the records
+//! alone.
+
+use super::context::Context;
+use super::error::BuildError;
+use super::ingest::Ingested;
+use super::record::{self, RecordLayout};
+use super::survey::{LIMIT, Merged, NO_RANGE};
+use rayset_store::spill::{Spill, SpillWriter};
+
+/// Copies are many if they are at least one of so many records. A weight is stored with each point
+/// then, which a few copies are not worth.
+const OF_RECORDS: u64 = 8;
+/// Records that are read at a time.
+const CHUNK_RECORDS: u64 = 8192;
+
+/// Whether so many of the records are copies of others that they are merged.
+pub(super) fn are_many(copies: u64, records: u64) -> bool {
+    copies > 0 && copies >= records / OF_RECORDS
+}
+
+/// Merges copies among records that come in the order of the curve.
+pub(super) struct Merger {
+    layout: RecordLayout,
+    /// The weight of records that have none of their own.
+    weight: f32,
+    /// The latest record; empty before the first.
+    latest: Vec<u8>,
+    /// How often it has come.
+    times: u64,
+    /// The point that it becomes.
+    point: Vec<u8>,
+    pub(super) merged: Merged,
+}
+
+impl Merger {
+    /// `layout` is that of the records, which have radii.
+    pub(super) fn new(layout: &RecordLayout, weight: f32) -> Self {
+        let merged = Merged { points: 0, weight_range: NO_RANGE };
+        Self { layout: layout.clone(), weight, latest: Vec::new(), times: 0, point: Vec::new(), merged }
+    }
+
+    /// Includes the next record, and hands on the point before it, if that has no more copies.
+    pub(super) fn follow(
+        &mut self,
+        record: &[u8],
+        write: &mut impl FnMut(&[u8]) -> Result<(), BuildError>,
+    ) -> Result<(), BuildError> {
+        let sum = self.weight_of(record) * (self.times + 1) as f64;
+        if record == self.latest && sum.abs() <= LIMIT {
+            self.times += 1;
+            return Ok(());
+        }
+        self.end(write)?;
+        self.latest.clear();
+        self.latest.extend_from_slice(record);
+        self.times = 1;
+        Ok(())
+    }
+
+    /// Hands on the last point.
+    pub(super) fn end(
+        &mut self,
+        write: &mut impl FnMut(&[u8]) -> Result<(), BuildError>,
+    ) -> Result<(), BuildError> {
+        if self.latest.is_empty() {
+            return Ok(());
+        }
+        let weight = (self.weight_of(&self.latest) * self.times as f64) as f32;
+        let at = self.layout.weight_at();
+        let behind = if self.layout.has_weight { at + 4 } else { at };
+        self.point.clear();
+        self.point.extend_from_slice(&self.latest[..at]);
+        self.point.extend_from_slice(&weight.to_le_bytes());
+        self.point.extend_from_slice(&self.latest[behind..]);
+        let range = &mut self.merged.weight_range;
+        *range = (range.0.min(weight), range.1.max(weight));
+        self.merged.points += 1;
+        write(&self.point)
+    }
+
+    fn weight_of(&self, record: &[u8]) -> f64 {
+        let own = || record::float(record, self.layout.weight_at());
+        if self.layout.has_weight { own().into() } else { self.weight.into() }
+    }
+}
+
+/// Merges the copies among all records, which have radii and are in the order of the curve.
+pub(super) fn merge(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
+    let Ingested { spill, survey } = ingested;
+    let mut merger = Merger::new(&survey.layout, survey.weight);
+    let mut writer = SpillWriter::new(context.spill()?, 1 << 20);
+    let mut write = |point: &[u8]| writer.push(point).map_err(context.io("write temporary files in"));
+    each(context, &spill, survey.layout.stride(), survey.count, |record| merger.follow(record, &mut write))?;
+    merger.end(&mut write)?;
+    let spill = writer.finish().map_err(context.io("write temporary files in"))?;
+    Ok(Ingested { spill, survey: survey.with_merged_copies(merger.merged) })
+}
+
+/// Reads records in order.
+fn each(
+    context: &Context<'_>,
+    spill: &Spill,
+    stride: usize,
+    count: u64,
+    mut visit: impl FnMut(&[u8]) -> Result<(), BuildError>,
+) -> Result<(), BuildError> {
+    let mut bytes = Vec::new();
+    for first in (0..count).step_by(CHUNK_RECORDS as usize) {
+        context.check()?;
+        bytes.resize((count - first).min(CHUNK_RECORDS) as usize * stride, 0);
+        spill.read_at(&mut bytes, first * stride as u64).map_err(context.io("read temporary files in"))?;
+        bytes.chunks_exact(stride).try_for_each(&mut visit)?;
+    }
+    Ok(())
+}
