@@ -155,9 +155,11 @@ pub(super) fn one_place(mut points: Vec<(DVec3, f64)>) -> (Vec<(DVec3, f64)>, Op
     /// Parts of the points that are worth a word.
     const PART: f64 = 0.005;
     let (all, mut away) = (points.len() as f64, None);
+    // Rounds in turn that left nothing out: after one along each axis, no other will.
+    let mut idle = 0;
     for round in 0..12 {
         let axis = round % 3;
-        if points.len() < FEW {
+        if points.len() < FEW || idle == 3 {
             break;
         }
         points.sort_by(|a, b| a.0[axis].total_cmp(&b.0[axis]));
@@ -169,7 +171,9 @@ pub(super) fn one_place(mut points: Vec<(DVec3, f64)>) -> (Vec<(DVec3, f64)>, Op
         let ends = |of: fn(DVec3, DVec3) -> DVec3| points[kept.clone()].iter().map(|(p, _)| *p).reduce(of);
         let (Some(low), Some(high)) = (ends(DVec3::min), ends(DVec3::max)) else { break };
         let length = (high - low).max_element();
+        idle += 1;
         if gap > EMPTY * length.max(1e-300) && gap.is_finite() {
+            idle = 0;
             if (points.len() - kept.len()) as f64 > PART * all {
                 away = Some(away.unwrap_or(0.0_f64).max(gap));
             }
@@ -237,26 +241,27 @@ fn spread_along(points: &[(DVec3, f64)], axis: DVec3) -> Spread {
 /// The spread of intervals, each a middle and half a length.
 fn spread(intervals: impl Iterator<Item = (f64, f64)>) -> Spread {
     let (mut lows, mut highs): (Vec<f64>, Vec<f64>) = intervals.map(|(m, h)| (m - h, m + h)).unzip();
-    lows.sort_by(f64::total_cmp);
-    highs.sort_by(f64::total_cmp);
+    let Some(last) = lows.len().checked_sub(1) else { return Spread { low: 0.0, high: 0.0 } };
+    // What a place in their order has; much sooner than to sort them.
+    let at = |values: &mut [f64], place: usize| *values.select_nth_unstable_by(place, f64::total_cmp).1;
     let left_out = (STRAYS * lows.len() as f64) as usize;
-    let (Some(&low), Some(&high)) = (lows.get(left_out), highs.get(highs.len().saturating_sub(1 + left_out)))
-    else {
-        return Spread { low: 0.0, high: 0.0 };
-    };
+    let (low, high) = (at(&mut lows, left_out), at(&mut highs, last - left_out));
     let apart = APART * (high - low);
-    let lowest = lows.iter().find(|&&v| v >= low - apart).copied().unwrap_or(low);
-    let highest = highs.iter().rfind(|&&v| v <= high + apart).copied().unwrap_or(high);
+    let within = |values: &[f64], least: f64, most: f64| {
+        let within = values.iter().copied().filter(move |v| (least..=most).contains(v));
+        (within.clone().min_by(f64::total_cmp), within.max_by(f64::total_cmp))
+    };
+    let lowest = within(&lows, low - apart, f64::INFINITY).0.unwrap_or(low);
+    let highest = within(&highs, f64::NEG_INFINITY, high + apart).1.unwrap_or(high);
     if lows.len() < FEW {
         return Spread { low: lowest, high: highest };
     }
-    let at = |sorted: &[f64], part: f64| sorted[(part * (sorted.len() - 1) as f64) as usize];
-    let (from, to) = (at(&lows, 0.1), at(&highs, 0.9));
+    let (from, to) =
+        (at(&mut lows, (0.1 * last as f64) as usize), at(&mut highs, (0.9 * last as f64) as usize));
     let (middle, most) = (0.5 * (from + to), 0.5 * CORE * (to - from));
     // The outermost that are within, and not the bounds themselves, between which there may be
     // nothing.
-    let inner = |v: f64| (middle - most..=middle + most).contains(&v);
-    let least = lows.iter().copied().find(|&v| inner(v)).unwrap_or(from);
-    let largest = highs.iter().copied().rfind(|&v| inner(v)).unwrap_or(to);
+    let least = within(&lows, middle - most, middle + most).0.unwrap_or(from);
+    let largest = within(&highs, middle - most, middle + most).1.unwrap_or(to);
     Spread { low: lowest.max(least), high: highest.min(largest) }
 }

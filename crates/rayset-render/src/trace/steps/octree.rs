@@ -195,14 +195,19 @@ impl Search<'_> {
         if self.part.is_refined_by(&chord) {
             self.open &= !(1 << chord.lane);
         }
-        // Those that follow each other mostly overlap: together they are one.
-        if let Some(last) = self.chords.get_mut(self.latest[usize::from(chord.lane)])
-            && last.k == chord.k
-            && last.enter <= chord.exit
-            && chord.enter <= last.exit
-        {
-            (last.enter, last.exit) = (last.enter.min(chord.enter), last.exit.max(chord.exit));
-            return;
+        // Those that follow each other mostly overlap. One within another that asks for no coarser
+        // steps says nothing; of two that ask for the same, both together are one.
+        if let Some(last) = self.chords.get_mut(self.latest[usize::from(chord.lane)]) {
+            if last.k <= chord.k && last.enter <= chord.enter && chord.exit <= last.exit {
+                return;
+            }
+            let covers = chord.k <= last.k && chord.enter <= last.enter && last.exit <= chord.exit;
+            let overlaps = last.k == chord.k && last.enter <= chord.exit && chord.enter <= last.exit;
+            if covers || overlaps {
+                (last.enter, last.exit) = (last.enter.min(chord.enter), last.exit.max(chord.exit));
+                last.k = chord.k;
+                return;
+            }
         }
         self.latest[usize::from(chord.lane)] = self.chords.len();
         self.chords.push(chord);
