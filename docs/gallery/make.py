@@ -95,8 +95,9 @@ def page(entries, measured):
     lines = [
         "# Gallery",
         "",
-        "Made by `docs/gallery/make.py` from [pictures.toml](gallery/pictures.toml), with two threads: the last command of each,",
-        "after what comes before it has been built. Times are of a shared machine, and say no more than seconds or minutes. Sizes",
+        "Made by `docs/gallery/make.py` from [pictures.toml](gallery/pictures.toml), with two threads. Times are of the last",
+        "command of each, after what comes before it has been built. They are of a shared machine, and say no more than seconds",
+        "or minutes; memory is the peak of that command. Sizes",
         "are left out of the commands; every one takes `--size 960x640`, the statue 640x960.",
         "",
     ]
