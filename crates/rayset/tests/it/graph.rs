@@ -34,7 +34,7 @@ pub(crate) fn light(kind: LightKind, color: [f32; 3], shadow: bool) -> Light {
     Light { kind, color, shadow }
 }
 
-fn turned_and_stretched() -> DAffine3 {
+pub(crate) fn turned_and_stretched() -> DAffine3 {
     let turn = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, 0.5).normalize(), 0.7);
     DAffine3::from_scale_rotation_translation(DVec3::new(0.6, 1.1, 0.8), turn, DVec3::new(0.2, -0.1, 0.3))
 }
