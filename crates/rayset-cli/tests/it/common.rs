@@ -5,6 +5,7 @@
 mod library;
 
 pub(crate) use library::{Random, build_at, folder, mixed_points, real_data};
+use rayset_terminal::memory::PROCESS_BYTES;
 
 /// The program.
 pub(crate) fn program() -> std::process::Command {
@@ -26,11 +27,10 @@ pub(crate) fn succeeds(folder: &std::path::Path, arguments: &[&str]) -> String {
     said
 }
 
-/// `--memory` of so many mebibytes. A program that opens remote objects takes two more by itself,
-/// though it opens none, and one that is not optimised one and a half.
+/// `--memory` of so many mebibytes for an optimised program that opens files alone, and what code
+/// this one has more in memory.
 pub(crate) fn mebibytes(memory: f64) -> (String, f64) {
-    let remote = if cfg!(feature = "remote") { 2.0 } else { 0.0 };
-    let unoptimised = if cfg!(debug_assertions) { 1.5 } else { 0.0 };
-    let memory = memory + remote + unoptimised;
+    const OPTIMISED_BYTES: u64 = 10 << 20;
+    let memory = memory + (PROCESS_BYTES - OPTIMISED_BYTES) as f64 / f64::from(1 << 20);
     (format!("{memory}MiB"), memory * f64::from(1 << 20))
 }

@@ -97,4 +97,9 @@ fn points_that_differ_in_a_column_and_few_copies_stay_as_they_are() {
     let few = built(places.iter().chain(&places[..300]).copied().collect(), None);
     assert_eq!((few.header().points, few.header().copies), (3300, 0));
     assert_eq!(few.header().weight, Column::Constant(1.0));
+    // An eighth is many, and one of fifteen is not.
+    for (copies, merged) in [(1, 0), (2, 2)] {
+        let cloud = built(places[..14].iter().chain(&places[..copies]).copied().collect(), None);
+        assert_eq!(cloud.header().copies, merged, "{copies} copies of 14 points");
+    }
 }

@@ -27,9 +27,10 @@ fn exec(threads: usize) -> ExecSettings {
     ExecSettings { threads, ..ExecSettings::default() }
 }
 
-/// A small sphere; under a headlight with hashed phases a cloud of many radii and one of few
-/// places; and a cloud that is moved, beside one of many radii that a ball is cut out of, so that
-/// steps differ from place to place for many reasons.
+/// Four scenes. The first is a small sphere. The next two, under a headlight with hashed phases,
+/// are a cloud of many radii and one of few places. In the last, steps differ from place to place
+/// for many reasons: a ball is cut out of a cloud of many radii, and a moved cloud stands beside
+/// it.
 fn scenes(folder: &std::path::Path) -> Vec<(Scene, RenderSettings)> {
     let sphere = workload_cloud("sphere-40k", folder);
     let options = BuildOptions { page_bytes: Some(16 << 10), ..BuildOptions::default() };

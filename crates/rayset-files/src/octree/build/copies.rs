@@ -20,7 +20,7 @@ const CHUNK_RECORDS: u64 = 8192;
 
 /// Whether so many of the records are copies of others that they are merged.
 pub(super) fn are_many(copies: u64, records: u64) -> bool {
-    copies > 0 && copies >= records / OF_RECORDS
+    copies > 0 && copies.saturating_mul(OF_RECORDS) >= records
 }
 
 /// Merges copies among records that come in the order of the curve.

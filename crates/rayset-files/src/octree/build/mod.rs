@@ -1,10 +1,14 @@
 //! Building a cloud from points, in bounded memory.
 //!
-//! [`run`] gives the overview: records are read and checked (`ingest`); given a radius if they have
-//! none (`spacing`), and those that are equal merged if they are many (`copies`); sorted into file
-//! order in buckets that fit in memory (`partition`); turned into runs and nodes (`subtree`); and
-//! laid out in pages (`assemble`). The result depends only on the input and on [`BuildOptions`]
-//! other than `memory_bytes`, `threads` and `temp_dir`.
+//! [`run`] gives the overview. In order, records are
+//! - read and checked (`ingest`);
+//! - given radii, if they have none (`spacing`), and merged where they are equal, if that is many
+//!   of them (`copies`);
+//! - sorted into file order, in buckets that fit in memory (`partition`);
+//! - turned into runs and nodes (`subtree`), and these laid out in pages (`assemble`).
+//!
+//! The result depends only on the input and on [`BuildOptions`] other than `memory_bytes`,
+//! `threads` and `temp_dir`.
 
 mod assemble;
 mod builder;

@@ -9,10 +9,10 @@
 //! groups of 16 points, and single points ([`octree`]). They are looked for cell by cell
 //! ([`Details`]): behind the end of a ray nothing is.
 //!
-//! In a solid, noise or a grid every sample is evaluated, even if it is empty. So the detail that
-//! they ask for is never less than a fraction of the diagonal of the box around them all, and a ray
-//! that meets one of them takes a bounded number of steps through that box, however fine a cloud in
-//! it is. Both limits are functions of the scene alone.
+//! In a solid, noise or a grid every sample is evaluated, even if it is empty. So there are two
+//! limits, which are functions of the scene alone. The detail that such an object asks for is never
+//! less than a fraction of the diagonal of the box around them all. A ray that meets one of them
+//! takes a bounded number of steps through that box, however fine a cloud in it is.
 
 mod chords;
 mod details;
