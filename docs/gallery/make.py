@@ -96,9 +96,9 @@ def page(entries, measured):
         "# Gallery",
         "",
         "Made by `docs/gallery/make.py` from [pictures.toml](gallery/pictures.toml), with two threads. Times are of the last",
-        "command of each, after what comes before it has been built. They are of a shared machine, and say no more than seconds",
-        "or minutes; memory is the peak of that command. Sizes",
-        "are left out of the commands; every one takes `--size 960x640`, the statue 640x960.",
+        "command of each, after what comes before it has been built. They were measured on a shared machine and are",
+        "rough; memory is the peak of that command. The",
+        "commands are shown without their size; every one takes `--size 960x640`, the statue 640x960.",
         "",
     ]
     for entry in entries:
