@@ -125,10 +125,14 @@ pub(super) struct Surroundings {
 impl Surroundings {
     /// What has to be rendered of a picture for a region of it.
     pub(super) fn rendered(&self, region: &Region) -> Region {
-        let (width, height) = self.size;
-        let apron = apron(height);
-        Region { columns: widened(&region.columns, apron, width), rows: widened(&region.rows, apron, height) }
+        with_apron(region, self.size)
     }
+}
+
+/// A region of a picture of a size with what its pixels look at around it.
+pub(super) fn with_apron(region: &Region, (width, height): (u32, u32)) -> Region {
+    let apron = apron(height);
+    Region { columns: widened(&region.columns, apron, width), rows: widened(&region.rows, apron, height) }
 }
 
 /// The most rows that are kept of a picture of `height` rows.

@@ -141,6 +141,95 @@ fn the_bytes_of_a_part_depend_on_the_picture_alone() {
     assert!(matches!(poor, PartError::Memory { given: 1000, needed } if needed < MEMORY));
 }
 
+/// A part whose render was cancelled once so many of its pixels were finished.
+fn interrupted(view: &View, options: &PartOptions, pixels: u64) -> Vec<u8> {
+    let (mut bytes, cancel) = (Vec::new(), CancelToken::new());
+    let mut progress = |done, _| {
+        if done >= pixels {
+            cancel.cancel();
+        }
+    };
+    let stopped = view.render_part(&view.region(), options, &cancel, &mut progress, &mut bytes);
+    assert!(matches!(stopped, Err(PartError::Render(RenderError::Cancelled))));
+    bytes
+}
+
+#[test]
+fn a_part_that_was_interrupted_any_number_of_times_is_resumed_to_the_same_bytes() {
+    for (layers, ambient_occlusion) in [(false, 0.0), (true, 1.0)] {
+        let settings = RenderSettings { layers, ambient_occlusion, ..small() };
+        let view = view(&pair(0.9), &settings);
+        for share in [Share::new(1, 1), Share::new(2, 2)] {
+            let options = PartOptions::new(share.expect("a share")).with_note(b"a note".to_vec());
+            let whole = rendered(&view, &options);
+            let all = opened(whole.clone()).expect("a part").finished_pixels();
+            assert_eq!(all.0, all.1);
+            // Square by square.
+            let step_by_step = options.clone().with_kept_every(Some(Duration::ZERO)).with_held_pixels(1);
+            let mut before = None;
+            let mut reached = 0;
+            for pixels in [0, 1, 2 * all.1 / 3, 2 * all.1 / 3] {
+                let from = step_by_step.clone().with_resumed(before);
+                let part = opened(interrupted(&view, &from, pixels)).expect("an unfinished part");
+                let (finished, of) = part.finished_pixels();
+                assert!(finished >= reached && finished < of && of == all.1, "{finished} after {reached}");
+                let refused = Joined::join([Ok(part.clone())], MEMORY).expect_err("it is unfinished");
+                assert!(matches!(refused, PartError::Unfinished { pixels, .. } if pixels == of), "{refused}");
+                (before, reached) = (Some(part), finished);
+            }
+            assert!(reached > 0, "nothing was ever kept");
+            assert!(rendered(&view, &options.clone().with_resumed(before)) == whole);
+        }
+    }
+}
+
+#[test]
+fn what_an_unfinished_part_lacks_is_transparent_and_told() {
+    let view = view(&pair(0.9), &small());
+    let options = PartOptions::new(Share::new(1, 1).expect("a share")).with_held_pixels(1);
+    let part = opened(interrupted(&view, &options, 80 * 70 / 2)).expect("an unfinished part");
+    let (finished, of) = part.finished_pixels();
+    let some = Joined::join_partly([Ok(part)], MEMORY).expect("a picture");
+    assert!(finished > 0 && of == 80 * 70);
+    assert_eq!(some.missing().iter().map(|region| region.pixels()).sum::<u64>(), of - finished);
+    let (picture, whole) = (some.picture().expect("a picture"), view.picture().expect("a picture"));
+    let is_missing = |x, y| some.missing().iter().any(|of| of.columns.contains(&x) && of.rows.contains(&y));
+    for (at, pixel) in (0..).zip(&picture.pixels) {
+        let is_there = !is_missing(at % 80, at / 80);
+        assert_eq!(*pixel, if is_there { whole.pixels[at as usize] } else { [0.0; 4] });
+    }
+}
+
+#[test]
+fn a_part_of_another_render_and_a_damaged_one_are_not_gone_on_with() {
+    let share = |number, of| PartOptions::new(Share::new(number, of).expect("a share")).with_held_pixels(1);
+    let view_of = |radius: f64, settings: &RenderSettings| view(&pair(radius), settings);
+    let view = view_of(0.9, &small());
+    let bytes = interrupted(&view, &share(1, 2), 1000);
+    let goes_on = |view: &View, options: PartOptions, bytes: Vec<u8>| {
+        let part = opened(bytes).expect("an unfinished part");
+        let options = options.with_resumed(Some(part));
+        view.render_part(&view.region(), &options, &CancelToken::new(), &mut |_, _| {}, &mut std::io::sink())
+    };
+    let finer = RenderSettings { step: Step::Fixed(0.04), ..small() };
+    for (view, options, named) in [
+        (&view_of(0.91, &small()), share(1, 2), "scene"),
+        (&view_of(0.9, &finer), share(1, 2), "step"),
+        (&view, share(2, 2), "part 1/2"),
+        (&view, share(1, 3), "in 2 parts"),
+        (&view, share(1, 2).with_note(vec![1]), "exposure or annotations"),
+        (&view, share(1, 2).with_build("another".into()), "another"),
+    ] {
+        let refused = goes_on(view, options, bytes.clone()).expect_err(named);
+        assert!(matches!(&refused, PartError::OtherRender { what, .. } if what.contains(named)), "{refused}");
+    }
+    let blocks = bytes.len() - 28 - 8 * 2 - 60;
+    let mut damaged = bytes;
+    damaged[blocks] ^= 1;
+    let refused = goes_on(&view, share(1, 2), damaged).expect_err("a damaged part");
+    assert!(matches!(refused, PartError::Damaged { .. }), "{refused}");
+}
+
 #[test]
 fn a_part_stops_when_it_is_cancelled_or_cannot_be_written() {
     struct Full;

@@ -61,6 +61,15 @@ const CHANNELS: [Channel; 15] = [
 ];
 
 impl Contents {
+    /// Of a picture with layers, or with ambient occlusion.
+    pub(super) fn of(layers: bool, is_occluded: bool) -> Self {
+        match (layers, is_occluded) {
+            (true, _) => Self::Layers,
+            (false, true) => Self::Depth,
+            (false, false) => Self::Color,
+        }
+    }
+
     /// Bytes of a pixel.
     pub(super) fn pixel_bytes(self) -> usize {
         4 * self.channels().len()

@@ -73,6 +73,29 @@ pub enum PartError {
         /// The number of parts of the picture.
         of: u32,
     },
+    /// A part is unfinished, because its render was interrupted.
+    #[error(
+        "{part}: its render was interrupted, and {finished} of its {pixels} pixels are there: go on with it, or \
+         render it again"
+    )]
+    Unfinished {
+        /// The part.
+        part: String,
+        /// Pixels that it has.
+        finished: u64,
+        /// Pixels of its share.
+        pixels: u64,
+    },
+    /// An unfinished part is not of what is to be rendered.
+    #[error(
+        "{part} is of another render: {what}; go on with its input and options, or begin anew without it"
+    )]
+    OtherRender {
+        /// The part.
+        part: String,
+        /// What differs from what is to be rendered, and how.
+        what: String,
+    },
     /// Two parts are the same share.
     #[error("{first} and {second} are both part {share}: leave one of them out")]
     Double {

@@ -68,7 +68,12 @@ impl Fetcher {
     }
 }
 
-fn read(source: &Source, storage: &dyn Storage, stored: StoredBlock) -> Result<Vec<u8>, PartError> {
+/// The bytes of a block, whose checksum has yet to be compared.
+pub(super) fn read(
+    source: &Source,
+    storage: &dyn Storage,
+    stored: StoredBlock,
+) -> Result<Vec<u8>, PartError> {
     let mut bytes = vec![0; stored.length as usize];
     source.read(storage, &mut bytes, stored.at)?;
     Ok(bytes)

@@ -230,6 +230,19 @@ impl About {
         Blocks::of(&self.rendered())
     }
 
+    /// How this differs from what another render makes, if it does; in words.
+    pub(super) fn other_render(&self, other: &Self) -> Option<String> {
+        if self == other {
+            return None;
+        }
+        let share = |of: &Self| format!("{}/{}", of.share.0, of.share.1);
+        self.same
+            .difference(&other.same)
+            .map(|difference| difference.what)
+            .or_else(|| self.other_picture(other))
+            .or_else(|| Some(format!("it is part {}, and that part {}", share(self), share(other))))
+    }
+
     /// Whether everything but the share and what proves sameness is equal; otherwise both, in
     /// words.
     pub(super) fn other_picture(&self, other: &Self) -> Option<String> {

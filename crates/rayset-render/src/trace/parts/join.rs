@@ -7,7 +7,8 @@ use super::header::About;
 use super::part::{Part, Source, StoredBlock};
 use super::share::{Blocks, Share};
 use crate::image::{Band, LayerPixel};
-use crate::trace::ambient_occlusion::{AmbientOcclusion, ROWS_SENT, apron};
+use crate::scene::RenderSettings;
+use crate::trace::ambient_occlusion::{AmbientOcclusion, ROWS_SENT, apron, with_apron};
 use crate::trace::memory_plan::{PIXEL_BYTES, exr_bytes};
 use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region};
 use crate::trace::{BandSink, Picture, RenderError};
@@ -52,11 +53,12 @@ impl Joined {
     ///
     /// # Errors
     /// [`PartError`] if one of them is an error, damaged, of another picture or there twice, if one
-    /// is missing, or if the memory is too small; then it says how much is needed.
+    /// is missing or unfinished, or if the memory is too small; then it says how much is needed.
     pub fn join(
         parts: impl IntoIterator<Item = Result<Part, PartError>>,
         memory_bytes: u64,
     ) -> Result<Self, PartError> {
+        let parts = parts.into_iter().map(|part| part?.finished());
         let joined = Self::join_partly(parts, memory_bytes)?;
         let missing: Vec<u32> = (1..)
             .zip(&joined.sources)
@@ -69,11 +71,12 @@ impl Joined {
         Err(PartError::Missing { missing, of: joined.sources.len() as u32 })
     }
 
-    /// Joins the parts that are there, at least one, as [`join`](Self::join) does. Pixels of those
-    /// that are missing are transparent, and ambient occlusion beside them is not what it will be.
+    /// Joins the parts that are there, at least one, as [`join`](Self::join) does; any may be
+    /// unfinished. Pixels that are missing are transparent, and ambient occlusion beside them is
+    /// not what it will be.
     ///
     /// # Errors
-    /// As [`join`](Self::join), but for missing parts.
+    /// As [`join`](Self::join), but for missing and unfinished parts.
     pub fn join_partly(
         parts: impl IntoIterator<Item = Result<Part, PartError>>,
         memory_bytes: u64,
@@ -82,7 +85,7 @@ impl Joined {
         let first = parts.next().ok_or(PartError::None)??;
         let of = first.share().of();
         let blocks = first.about.blocks();
-        let needed = needed_bytes(&first, &blocks);
+        let needed = Needs::of(&first).bytes();
         if needed > memory_bytes {
             return Err(PartError::Memory { given: memory_bytes, needed });
         }
@@ -107,21 +110,31 @@ impl Joined {
         Ok(Self { sources, about: first.about, blocks, entries, note, memory_bytes: needed, at_a_time })
     }
 
+    /// An upper bound of the bytes that joining the only part of a picture takes, a file with a
+    /// note of so many bytes.
+    #[must_use]
+    pub fn bytes_of_one(settings: &RenderSettings, region: &Region, note_bytes: u64) -> u64 {
+        let occluded_rows = (settings.ambient_occlusion > 0.0).then_some(settings.height);
+        let size = (settings.width, settings.height);
+        let contents = Contents::of(settings.layers, occluded_rows.is_some());
+        let rendered = occluded_rows.map_or_else(|| region.clone(), |_| with_apron(region, size));
+        // The note is there packed, too, which takes a little more where it does not pack.
+        let note_bytes = 2 * note_bytes + note_bytes / 128 + 64;
+        Needs { rendered, contents, occluded_rows, parts: 1, note_bytes, at_a_time: 1 }.bytes()
+    }
+
     /// What the picture shows of the whole.
     #[must_use]
     pub fn region(&self) -> Region {
         self.about.region()
     }
 
-    /// What of the region is in parts that are missing: rectangles that do not overlap.
+    /// What of the region is missing, with its part or from it: rectangles that do not overlap.
     #[must_use]
     pub fn missing(&self) -> Vec<Region> {
         let Region { columns, rows } = self.region();
         let places = (0..self.blocks.rows).flat_map(|j| (0..self.blocks.columns).map(move |i| (i, j)));
-        let missing = places.filter(|&block| {
-            let entry = self.entries[self.blocks.number(block)];
-            self.sources[entry.part as usize].is_none()
-        });
+        let missing = places.filter(|&block| self.place(block).is_none());
         let clipped = move |block| {
             let block = self.blocks.region(block);
             Region {
@@ -130,6 +143,13 @@ impl Joined {
             }
         };
         missing.map(clipped).filter(|region| region.pixels() > 0).collect()
+    }
+
+    /// Where the bytes of a block are, if they are there.
+    fn place(&self, block: (u32, u32)) -> Option<(&Source, BlockPlace)> {
+        let entry = self.entries[self.blocks.number(block)];
+        let source = self.sources[entry.part as usize].as_ref()?;
+        (!entry.stored.is_absent()).then_some((source, entry))
     }
 
     /// Width and height of the whole picture in pixels.
@@ -214,8 +234,7 @@ impl Joined {
     ) -> Result<(), PartError> {
         let mut there = Vec::with_capacity(columns.len());
         for &column in columns {
-            let BlockPlace { part, stored } = self.entries[self.blocks.number((column, row))];
-            let Some(source) = &self.sources[part as usize] else { continue };
+            let Some((source, BlockPlace { part, stored })) = self.place((column, row)) else { continue };
             let region = self.blocks.region((column, row));
             let (length, pixels) = (stored.length as usize, region.pixels() as usize);
             if length > pixels * self.about.contents.pixel_bytes() {
@@ -275,24 +294,49 @@ fn at_a_time(part: &Part) -> usize {
     if part.source.is_remote() { AT_A_TIME } else { 1 }
 }
 
-/// An upper bound of the bytes that joining the parts of a picture takes, given one of them.
-fn needed_bytes(part: &Part, blocks: &Blocks) -> u64 {
-    let about = &part.about;
-    let width = about.rendered().columns.len() as u64;
-    let pixel = PIXEL_BYTES + if about.contents.has_layers() { size_of::<LayerPixel>() as u64 } else { 0 };
-    let block_rows = u64::from(LOOKAHEAD_TILE_PIXELS);
-    // Rows that come in, and those that ambient occlusion keeps and sends on.
-    let kept = |height| 2 * u64::from(apron(height)) + 1 + block_rows;
-    let shading = about.surroundings().map_or(0, |of| kept(of.size.1) + u64::from(ROWS_SENT));
-    let rows = about.rendered().rows.len() as u32;
-    let encoder = if about.contents == Contents::Layers { exr_bytes(rows) * width } else { 0 };
-    // The index of a part, and of all.
-    let index = blocks.count() * 2 * size_of::<BlockPlace>() as u64;
-    let parts = u64::from(part.share().of()) * PART_BYTES;
-    let rows = (block_rows + shading + ENCODER_ROWS) * width * pixel;
-    let block_bytes = block_rows * block_rows * about.contents.pixel_bytes() as u64 + WAITING_BYTES;
-    let together = block_bytes * (at_a_time(part) as u64 - 1);
-    rows + rows / GAPS_PART + encoder + index + parts + part.note_bytes() + READING_BYTES + together
+/// What the memory for joining depends on.
+struct Needs {
+    rendered: Region,
+    contents: Contents,
+    /// The height of the whole picture, if it has ambient occlusion.
+    occluded_rows: Option<u32>,
+    parts: u32,
+    note_bytes: u64,
+    at_a_time: usize,
+}
+
+impl Needs {
+    /// Of the parts of a picture, given one of them.
+    fn of(part: &Part) -> Self {
+        Self {
+            rendered: part.about.rendered(),
+            contents: part.about.contents,
+            occluded_rows: part.about.surroundings().map(|of| of.size.1),
+            parts: part.share().of(),
+            note_bytes: part.note_bytes(),
+            at_a_time: at_a_time(part),
+        }
+    }
+
+    /// An upper bound of the bytes that joining takes.
+    fn bytes(&self) -> u64 {
+        let width = self.rendered.columns.len() as u64;
+        let has_layers = self.contents.has_layers();
+        let pixel = PIXEL_BYTES + if has_layers { size_of::<LayerPixel>() as u64 } else { 0 };
+        let block_rows = u64::from(LOOKAHEAD_TILE_PIXELS);
+        // Rows that come in, and those that ambient occlusion keeps and sends on.
+        let kept = |height| 2 * u64::from(apron(height)) + 1 + block_rows;
+        let shading = self.occluded_rows.map_or(0, |height| kept(height) + u64::from(ROWS_SENT));
+        let rows = self.rendered.rows.len() as u32;
+        let encoder = if self.contents == Contents::Layers { exr_bytes(rows) * width } else { 0 };
+        // The index of a part, and of all.
+        let index = Blocks::of(&self.rendered).count() * 2 * size_of::<BlockPlace>() as u64;
+        let parts = u64::from(self.parts) * PART_BYTES;
+        let rows = (block_rows + shading + ENCODER_ROWS) * width * pixel;
+        let block_bytes = block_rows * block_rows * self.contents.pixel_bytes() as u64 + WAITING_BYTES;
+        let together = block_bytes * (self.at_a_time as u64 - 1);
+        rows + rows / GAPS_PART + encoder + index + parts + self.note_bytes + READING_BYTES + together
+    }
 }
 
 /// Refuses a part of another picture than the first.

@@ -16,6 +16,10 @@ use rayset_store::storage::{InputFile, Storage, address_of};
 
 /// A part of a picture, whose head and end have been checked. Its pixels are checked as they are
 /// read.
+///
+/// A part whose render was interrupted is unfinished: of the squares of its share, in their order,
+/// it has the first ones.
+#[derive(Clone)]
 pub struct Part {
     pub(super) source: Source,
     pub(super) about: About,
@@ -40,6 +44,13 @@ pub(super) struct StoredBlock {
     pub(super) at: u64,
     pub(super) length: u32,
     pub(super) crc: u32,
+}
+
+impl StoredBlock {
+    /// Whether its part does not have it.
+    pub(super) fn is_absent(&self) -> bool {
+        self.length == 0
+    }
 }
 
 #[derive(Clone)]
@@ -108,6 +119,27 @@ impl Part {
         self.share
     }
 
+    /// How many pixels of its share it has, and how many a finished part has; with those around a
+    /// region that ambient occlusion looks at.
+    #[must_use]
+    pub fn finished_pixels(&self) -> (u64, u64) {
+        let blocks = self.about.blocks();
+        let pixels = |count: usize| {
+            let own = blocks.of_share(self.share).take(count);
+            own.map(|block| blocks.region(block).pixels()).sum()
+        };
+        (pixels(self.foot.blocks as usize), pixels(usize::MAX))
+    }
+
+    /// The part, or the error that it is unfinished.
+    pub(super) fn finished(self) -> Result<Self, PartError> {
+        let (finished, pixels) = self.finished_pixels();
+        if finished == pixels {
+            return Ok(self);
+        }
+        Err(PartError::Unfinished { part: self.source.name, finished, pixels })
+    }
+
     fn at(name: String, place: PartSource) -> Result<Self, PartError> {
         let mut source = Source { name, place, seed: 0 };
         let storage = source.open()?;
@@ -129,11 +161,12 @@ impl Part {
             .ok_or_else(|| damaged(foot_at, format!("its end is not the end of a part of {length} bytes")))?;
         let expected = about.blocks().count_of(share);
         let index_end = foot.index_at.checked_add(u64::from(foot.blocks) * ENTRY_BYTES);
-        if u64::from(foot.blocks) != expected
-            || index_end != Some(foot_at)
-            || foot.index_at < head.blocks_at()
+        if u64::from(foot.blocks) > expected || index_end != Some(foot_at) || foot.index_at < head.blocks_at()
         {
-            return Err(damaged(foot_at, format!("{} blocks, expected {expected}", foot.blocks)));
+            return Err(damaged(
+                foot_at,
+                format!("{} squares of pixels, expected up to {expected}", foot.blocks),
+            ));
         }
         Ok(Self { source, about, share, head, foot })
     }
@@ -159,7 +192,7 @@ impl Part {
         self.head.note_bytes + self.about.note_bytes
     }
 
-    /// Every block of the share in order.
+    /// The blocks that it has, the first of its share in order. None is empty.
     pub(super) fn index(&self) -> Result<Vec<StoredBlock>, PartError> {
         let Foot { index_at, blocks, index_crc } = self.foot;
         let mut bytes = vec![0; blocks as usize * ENTRY_BYTES as usize];
@@ -170,7 +203,7 @@ impl Part {
         }
         let number = |bytes: &[u8]| bytes.iter().rev().fold(0, |sum, &byte| sum << 8 | u32::from(byte));
         let mut at = self.head.blocks_at();
-        let index = bytes
+        let index: Vec<StoredBlock> = bytes
             .chunks_exact(ENTRY_BYTES as usize)
             .map(|entry| {
                 let (length, crc) = (number(&entry[..4]), number(&entry[4..]));
@@ -179,6 +212,9 @@ impl Part {
                 StoredBlock { at: place, length, crc }
             })
             .collect();
+        if index.iter().any(|block| block.is_absent()) {
+            return Err(damaged("a square of pixels is empty"));
+        }
         if at == index_at { Ok(index) } else { Err(damaged("its blocks do not end where its index begins")) }
     }
 }
