@@ -132,9 +132,15 @@ fn run(command: Command) -> anyhow::Result<()> {
 fn ended(outcome: anyhow::Result<()>) -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            report::fail(&error);
-            ExitCode::FAILURE
-        }
+        Err(error) => match error.downcast_ref::<interrupts::Stopped>() {
+            Some(stopped) => {
+                report::remark(stopped);
+                ExitCode::from(stopped.status())
+            }
+            None => {
+                report::fail(&error);
+                ExitCode::FAILURE
+            }
+        },
     }
 }

@@ -16,7 +16,8 @@ use rayset::scene::{NoiseCloud, Pattern, Procedural};
 use rayset::volumes::{self, RawLayout, VolumeSource};
 
 use rayset_inputs::values;
-use rayset_terminal::interrupts::{self, TemporaryFolder};
+use rayset_terminal::children;
+use rayset_terminal::interrupts::TemporaryFolder;
 use rayset_terminal::memory::{PROCESS_BYTES, peak_rss, reset_peak_rss};
 use rayset_terminal::outputs::{self, Outputs};
 
@@ -189,7 +190,7 @@ fn render(args: &FigureArgs, scene: &Path, output: &Path) -> Result<()> {
     if let Some((width, height)) = args.size {
         command.arg("--size").arg(format!("{width}x{height}"));
     }
-    let status = interrupts::run(&mut command).context("cannot start a render")?;
+    let status = children::run(&mut command).context("cannot start a render")?;
     ensure!(status.success(), "no picture was made");
     Ok(())
 }

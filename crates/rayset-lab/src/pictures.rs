@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail, ensure};
 
 use crate::scenes::million_instructions;
 use crate::workloads::median;
-use rayset_terminal::interrupts;
+use rayset_terminal::children;
 use rayset_terminal::outputs::{self, Outputs};
 use rayset_terminal::report;
 
@@ -115,7 +115,7 @@ impl Runs {
         let stats = options.folder.join("stats.json");
         let mut command = render(options.folder, case, program, case.size);
         command.arg("--stats").arg(&stats).stdout(Stdio::null()).stderr(Stdio::null());
-        let ended = interrupts::run_within(&mut command, options.limit)
+        let ended = children::run_within(&mut command, options.limit)
             .with_context(|| format!("cannot start {}", program.1.display()))?;
         let Some(status) = ended.status else {
             self.stopped = true;

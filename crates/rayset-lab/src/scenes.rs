@@ -17,7 +17,7 @@ use rayset::volumes::RawLayout;
 use rayset::{CancelToken, Picture, RenderCounts, Session, SimdLevel};
 
 use crate::workloads::median;
-use rayset_terminal::interrupts;
+use rayset_terminal::children;
 use rayset_terminal::memory::{peak_rss, process_cpu_seconds, reset_peak_rss};
 use rayset_terminal::outputs::{self, Outputs};
 use rayset_terminal::report;
@@ -166,8 +166,7 @@ pub(crate) fn million_instructions(folder: &Path, command: &Command) -> Result<u
     valgrind.arg(format!("--callgrind-out-file={}", counted.display()));
     valgrind.arg(command.get_program()).args(command.get_args());
     valgrind.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
-    let status =
-        interrupts::run(&mut valgrind).context("cannot start valgrind, which counts instructions")?;
+    let status = children::run(&mut valgrind).context("cannot start valgrind, which counts instructions")?;
     ensure!(status.success(), "valgrind could not run {command:?}");
     let text = fs::read_to_string(&counted).with_context(|| format!("cannot read {}", counted.display()))?;
     let total =

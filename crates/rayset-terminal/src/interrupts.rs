@@ -4,11 +4,10 @@
 //! This state is global to the process, as signals are.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use rayset::CancelToken;
 use rayset::output::Destination;
 use rayset_inputs::OwnFolder;
 
@@ -20,10 +19,19 @@ struct Watched {
     folders: Vec<PathBuf>,
     /// Id of a child process that works for this one.
     child: Option<u32>,
+    /// What the first signal cancels instead.
+    work: Option<Work>,
+}
+
+/// Work that a signal cancels.
+struct Work {
+    cancel: CancelToken,
+    /// The signal that has.
+    signal: Option<Signal>,
 }
 
 static WATCHED: Mutex<Watched> =
-    Mutex::new(Watched { outputs: Vec::new(), folders: Vec::new(), child: None });
+    Mutex::new(Watched { outputs: Vec::new(), folders: Vec::new(), child: None, work: None });
 
 fn watched() -> MutexGuard<'static, Watched> {
     WATCHED.lock().unwrap_or_else(PoisonError::into_inner)
@@ -34,73 +42,68 @@ pub fn watch(output: &Destination, temp_dir: Option<&Path>) {
     watched().outputs.push((output.clone(), temp_dir.map(Path::to_owned)));
 }
 
-/// Runs a command to its end; a signal ends the command, too.
-pub fn run(command: &mut Command) -> std::io::Result<ExitStatus> {
-    let mut child = command.spawn()?;
-    watched().child = Some(child.id());
-    let status = child.wait();
-    watched().child = None;
-    status
+/// The child process that works for this one, if there is one: a signal ends it, too.
+pub(crate) fn watch_child(id: Option<u32>) {
+    watched().child = id;
 }
 
-/// How a command ended that had a limit.
-pub struct Ended {
-    /// `None` if it was stopped at the limit.
-    pub status: Option<ExitStatus>,
-    /// From its start to its end.
-    pub seconds: f64,
-    /// Processor time of all its threads; not a number where the system does not say.
-    pub cpu_seconds: f64,
+/// Until this is dropped, the first signal cancels work instead of ending the process.
+pub struct Stopping(());
+
+/// Makes the first signal cancel work; who does the work ends the process then, with what is
+/// finished. A second signal ends the process at once.
+#[must_use]
+pub fn stop_work(cancel: &CancelToken) -> Stopping {
+    watched().work = Some(Work { cancel: cancel.clone(), signal: None });
+    Stopping(())
 }
 
-/// Runs a command to its end, or stops it at a limit; a signal ends the command, too. Where the
-/// system does not list processes in `/proc` it has no limit.
-///
-/// # Errors
-/// If it cannot be started, or not be waited for.
-pub fn run_within(command: &mut Command, limit: Duration) -> std::io::Result<Ended> {
-    let mut child = command.spawn()?;
-    watched().child = Some(child.id());
-    let started = Instant::now();
-    let (mut stopped, mut cpu_seconds) = (false, f64::NAN);
-    // A process that has ended is listed until it is waited for, with the time that it took.
-    while let Some((has_ended, so_far)) = listed(child.id()) {
-        cpu_seconds = so_far;
-        if has_ended {
-            break;
-        }
-        if !stopped && started.elapsed() >= limit {
-            child.kill()?;
-            stopped = true;
-        }
-        std::thread::sleep(Duration::from_millis(5));
+impl Stopping {
+    /// The signal that has cancelled the work.
+    #[must_use]
+    pub fn signal(&self) -> Option<Signal> {
+        watched().work.as_ref().and_then(|work| work.signal)
     }
-    let status = child.wait();
-    watched().child = None;
-    let status = status?;
-    let seconds = started.elapsed().as_secs_f64();
-    Ok(Ended { status: (!stopped).then_some(status), seconds, cpu_seconds })
 }
 
-/// Whether a child process has ended, and the processor time that it has taken; `None` if the
-/// system does not say.
-fn listed(id: u32) -> Option<(bool, f64)> {
-    let text = std::fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
-    // The name, in brackets, may have any characters.
-    let fields: Vec<&str> = text.rsplit_once(") ")?.1.split_ascii_whitespace().collect();
-    let ticks = fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?;
-    Some((matches!(fields[0], "Z" | "X"), ticks / ticks_per_second()))
+impl Drop for Stopping {
+    fn drop(&mut self) {
+        watched().work = None;
+    }
 }
 
-#[cfg(unix)]
-fn ticks_per_second() -> f64 {
-    rustix::param::clock_ticks_per_second() as f64
+/// A signal that ends the process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Signal {
+    number: i32,
+    /// As in `SIGINT`.
+    pub name: &'static str,
 }
 
-#[cfg(not(unix))]
-fn ticks_per_second() -> f64 {
-    f64::NAN
+/// The error that a signal has ended the work, and what is left of it.
+#[derive(Debug)]
+pub struct Stopped {
+    /// The signal.
+    pub signal: Signal,
+    /// What is finished, and how to go on with it.
+    pub left: String,
 }
+
+impl Stopped {
+    /// The status that the process ends with, as in a shell.
+    #[must_use]
+    pub fn status(&self) -> u8 {
+        (128 + self.signal.number) as u8
+    }
+}
+
+impl std::fmt::Display for Stopped {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "ended by {}; {}", self.signal.name, self.left)
+    }
+}
+
+impl std::error::Error for Stopped {}
 
 /// A temporary folder. It is removed when dropped, when a signal arrives, and by the next run if
 /// this one is killed.
@@ -158,10 +161,14 @@ mod unix {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
     use signal_hook::{flag, iterator::Signals};
 
-    use super::{Watched, watched};
+    use super::{Signal, Watched, watched};
     use crate::report;
 
-    const SIGNALS: [(i32, &str); 3] = [(SIGINT, "SIGINT"), (SIGTERM, "SIGTERM"), (SIGHUP, "SIGHUP")];
+    const SIGNALS: [Signal; 3] = [
+        Signal { number: SIGINT, name: "SIGINT" },
+        Signal { number: SIGTERM, name: "SIGTERM" },
+        Signal { number: SIGHUP, name: "SIGHUP" },
+    ];
 
     /// Set when the process begins to end because of a signal.
     static ENDING: AtomicBool = AtomicBool::new(false);
@@ -171,21 +178,24 @@ mod unix {
     pub fn install() -> Result<()> {
         let doing = "cannot listen to signals";
         let ignored = ignored_signals();
-        let wanted: Vec<(i32, &str)> =
-            SIGNALS.into_iter().filter(|(signal, _)| ignored & (1 << (signal - 1)) == 0).collect();
-        for &(signal, _) in &wanted {
+        let is_ignored = |signal: &Signal| ignored & (1 << (signal.number - 1)) != 0;
+        let wanted: Vec<Signal> = SIGNALS.into_iter().filter(|signal| !is_ignored(signal)).collect();
+        for &Signal { number, .. } in &wanted {
             let came = Arc::new(AtomicBool::new(false));
             // Handlers run in this order, so the first signal finds the flag unset.
-            flag::register_conditional_shutdown(signal, 128 + signal, came.clone()).context(doing)?;
-            flag::register(signal, came).context(doing)?;
+            flag::register_conditional_shutdown(number, 128 + number, came.clone()).context(doing)?;
+            flag::register(number, came).context(doing)?;
         }
         // A write at the limit of file sizes then fails with an error instead, which is reported.
         flag::register(SIGXFSZ, Arc::default()).context(doing)?;
-        let mut signals = Signals::new(wanted.iter().map(|(signal, _)| signal)).context(doing)?;
+        let mut signals = Signals::new(wanted.iter().map(|signal| signal.number)).context(doing)?;
         let listen = move || {
-            if let Some(signal) = signals.forever().next() {
-                let name = wanted.iter().find(|(known, _)| *known == signal).map_or("a signal", |(_, n)| n);
-                end(signal, name);
+            for number in signals.forever() {
+                let known = wanted.iter().find(|signal| signal.number == number).copied();
+                let signal = known.unwrap_or(Signal { number, name: "a signal" });
+                if !cancels_work(signal) {
+                    end(signal);
+                }
             }
         };
         std::thread::Builder::new()
@@ -203,7 +213,22 @@ mod unix {
         mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)
     }
 
-    fn end(signal: i32, name: &str) -> ! {
+    /// Whether a signal has cancelled work instead of ending the process.
+    fn cancels_work(signal: Signal) -> bool {
+        let mut watched = watched();
+        let Some(work) = watched.work.as_mut().filter(|work| work.signal.is_none()) else { return false };
+        work.signal = Some(signal);
+        let cancel = work.cancel.clone();
+        drop(watched);
+        report::remark(format_args!(
+            "{}: what is finished is written; a second one ends this at once",
+            signal.name
+        ));
+        cancel.cancel();
+        true
+    }
+
+    fn end(signal: Signal) -> ! {
         ENDING.store(true, Ordering::SeqCst);
         // Never unlocked again, so that no further output is begun.
         let watched = watched();
@@ -211,10 +236,10 @@ mod unix {
             let _ = rustix::process::kill_process(child, rustix::process::Signal::TERM);
         }
         remove(&watched);
-        report::remark(format_args!("ended by {name}; nothing unfinished is left behind"));
+        report::remark(format_args!("ended by {}; nothing unfinished is left behind", signal.name));
         // Other threads have continued meanwhile.
         remove(&watched);
-        std::process::exit(128 + signal);
+        std::process::exit(128 + signal.number);
     }
 
     fn remove(watched: &Watched) {

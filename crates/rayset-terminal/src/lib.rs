@@ -2,6 +2,7 @@
 //! outputs, and the memory and the statistics of the process.
 #![deny(unsafe_code)]
 
+pub mod children;
 pub mod interrupts;
 pub mod memory;
 pub mod outputs;

@@ -2,14 +2,12 @@
 
 use std::time::Instant;
 
-use anyhow::{Context, Result, anyhow, ensure};
-use rayset::CancelToken;
+use anyhow::{Result, anyhow, ensure};
 use rayset::parts::{Joined, Part, PartError};
 
 use super::args::MergeArgs;
 use crate::budget::Budget;
-use crate::part_note::Note;
-use crate::render::{Format, PictureSink};
+use crate::render::{self, Format, Joining};
 use rayset_terminal::memory::peak_rss;
 use rayset_terminal::outputs::Outputs;
 use rayset_terminal::report::{bytes, say};
@@ -26,14 +24,7 @@ pub(super) fn run(args: &MergeArgs) -> Result<()> {
         "{} is to have layers, and the parts have none: render them with --layers, or merge them to a .png",
         args.output.display()
     );
-    let note = Note::decode(joined.note())
-        .with_context(|| format!("{} is no part of a render by this program", args.parts[0].display()))?;
-    let (region, display) = (joined.region(), note.display_transform);
-    let mut sink = PictureSink::create(&output, &region, joined.size(), display, note.mount)?
-        .doing("merging")
-        .under(note.overlay);
-    joined.bands(&CancelToken::new(), &mut sink)?;
-    sink.finish()?;
+    render::write_joined(&joined, &output, Joining { doing: "merging", census: None, comment: "" })?;
     say(format_args!(
         "{}: {} parts, {:.2} s{}",
         args.output.display(),

@@ -40,6 +40,14 @@ pub(crate) struct RenderArgs {
     /// of them
     #[arg(long, value_name = "PART/OF")]
     pub(super) part: Option<Share>,
+    /// If a signal ends the render, as Ctrl-C does, or if it fails: write what is finished of the
+    /// picture, which says so, and keep it in OUTPUT.unfinished for --resume
+    #[arg(long)]
+    pub(super) keep_partial: bool,
+    /// Go on with what is in OUTPUT.unfinished, to the picture of a render that was not interrupted;
+    /// from the beginning if there is no such file. Keeps what is finished, as --keep-partial
+    #[arg(long)]
+    pub(super) resume: bool,
     /// Parts for OpenEXR: with all layers
     #[arg(long, requires = "part", conflicts_with_all = ["annotate", "annotate_over"])]
     pub(super) layers: bool,
@@ -75,6 +83,11 @@ pub(crate) fn defaults(cloud: &Path, output: &Path) -> Result<RenderArgs> {
 }
 
 impl RenderArgs {
+    /// Whether what is finished is kept if the render is interrupted.
+    pub(super) fn keeps(&self) -> bool {
+        self.keep_partial || self.resume
+    }
+
     pub(crate) fn with_memory(mut self, memory: u64) -> Self {
         self.work.memory = Some(memory);
         self

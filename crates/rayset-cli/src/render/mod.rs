@@ -1,8 +1,11 @@
 //! `rayset render`: [`run`] is the way from arguments to a picture.
 
 mod args;
+mod joined;
+mod kept;
 mod part;
 mod picture;
+mod pictures;
 mod report;
 mod sanity;
 mod shot;
@@ -10,24 +13,26 @@ mod sink;
 mod warnings;
 mod work;
 
-use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use rayset::memory::{MemoryPlan, SceneNeeds};
 use rayset::output::Destination;
-use rayset::parts::Share;
+use rayset::parts::{PartOptions, Share};
 use rayset::scene::Camera;
 use rayset::{CancelToken, PreparedScene, Region, RenderCounts, RenderError, View};
 
 pub(crate) use self::args::{RenderArgs, defaults};
+pub(crate) use self::joined::{Joining, write_joined};
+use self::kept::Keeping;
+use self::pictures::{Output, pictures};
 use self::report::RenderReport;
 use self::sanity::{Census, Circumstances};
 use self::shot::Shot;
-pub(crate) use self::sink::{Format, PictureSink};
+pub(crate) use self::sink::Format;
+use self::sink::PictureSink;
 use self::work::Work;
 use crate::annotate::{Mount, Overlay};
-use rayset_inputs::values::Frames;
 use rayset_terminal::outputs::{self, Outputs};
 use rayset_terminal::report::{bytes, json_text, remark};
 
@@ -38,10 +43,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     shot.settings.layers = has_layers;
     let (region, mount) = shot.mounted(args.picture.region(shot.whole())?)?;
     let mut outputs = Outputs::beside(&shot.files);
-    let pictures = pictures(args, &shot)?
-        .into_iter()
-        .map(|(path, camera)| Ok((outputs.add(&path, None)?, camera)))
-        .collect::<Result<Vec<_>>>()?;
+    let pictures = pictures(args, &shot, &mut outputs)?;
     let stats = args.stats.as_ref().map(|path| outputs.add(path, None)).transpose()?;
     if let Some(path) = &args.write_scene {
         shot.write_scene(&outputs.add(path, None)?)?;
@@ -50,19 +52,28 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let drawing_bytes = annotations.as_ref().map_or(0, |annotations| annotations.bytes(&shot.camera));
     // A part has a copy of what is drawn, and that compressed.
     let part_bytes = args.part.map_or(0, |share| share.index_bytes(&region) + 2 * drawing_bytes);
-    let loading_bytes = shot.loading_bytes + drawing_bytes + part_bytes;
+    let kept = args.keeps().then(|| kept::bytes(args.part, &shot.settings, &region, drawing_bytes));
+    let loading_bytes = shot.loading_bytes + drawing_bytes + part_bytes + kept.unwrap_or(0);
     let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(loading_bytes);
     let (work, plan, prepared) = prepared(args, &shot, needs)?;
     prepared.remarks().iter().for_each(remark);
     let rendering = Rendering { shot: &shot, prepared, region, mount, work, plan };
-    for (output, camera) in &pictures {
+    let keeping = args.keeps().then(|| Keeping::new(args.resume));
+    for (number, (output, camera)) in pictures.iter().enumerate() {
         let overlay = annotations.as_ref().map(|annotations| annotations.overlay(camera));
-        let report = match args.part {
-            None => rendering.picture(camera, overlay, output)?,
-            Some(share) => rendering.part(camera, overlay, share, output)?,
+        let report = match (&keeping, args.part) {
+            (Some(keeping), share) => rendering.kept(camera, overlay, share, keeping, output)?,
+            (None, None) => rendering.picture(camera, overlay, &output.destination)?,
+            (None, Some(share)) => rendering.part(camera, overlay, share, &output.destination)?,
         };
         if let Some(stats) = &stats {
             outputs::write(stats, json_text(&report)?.as_bytes())?;
+        }
+        if let (Some(keeping), Some((next, _))) = (&keeping, pictures.get(number + 1)) {
+            let go_on = || format!("the same command with {} goes on", next.resuming());
+            keeping.stopped(|| {
+                format!("{} of {} pictures are finished; {}", number + 1, pictures.len(), go_on())
+            })?;
         }
     }
     Ok(())
@@ -90,6 +101,9 @@ fn prepared(
 /// Refuses what cannot be written. Returns whether the output has layers.
 fn check_output(args: &RenderArgs) -> Result<bool> {
     let destination = Destination::new(&args.output)?;
+    if args.keeps() {
+        kept::check_output(&destination)?;
+    }
     ensure!(
         args.annotate.caption.is_none() || args.annotate.is_wanted(),
         "--caption is drawn by --annotate or --annotate-over; add one of them"
@@ -104,28 +118,6 @@ fn check_output(args: &RenderArgs) -> Result<bool> {
         "--annotate draws on pictures for display; an OpenEXR file holds the light as computed: write a .png"
     );
     Ok(format == Format::Exr)
-}
-
-/// Every picture to render: its path and its camera.
-fn pictures(args: &RenderArgs, shot: &Shot) -> Result<Vec<(PathBuf, Camera)>> {
-    let numbered = |frame| numbered(&args.output, frame);
-    Ok(match (args.turntable, args.frames) {
-        (Some(turns), frames) => frames
-            .unwrap_or(Frames::All)
-            .among((0, turns - 1), "turntable")?
-            .map(|frame| {
-                let turn = f64::from(frame) / f64::from(turns);
-                (numbered(frame), shot.turntable.turned(&shot.camera, turn))
-            })
-            .collect(),
-        (None, Some(frames)) => {
-            let path = shot.path.as_ref().with_context(|| {
-                format!("{} has no \"animation\"; --frames has nothing to follow", args.inputs[0].display())
-            })?;
-            frames.of(path)?.map(|frame| (numbered(frame), path.camera(frame))).collect()
-        }
-        (None, None) => vec![(args.output.clone(), shot.camera)],
-    })
 }
 
 /// What is rendered, and by what means.
@@ -149,8 +141,9 @@ impl Rendering<'_> {
         let (shot, settings) = (self.shot, &self.shot.settings);
         let (started, view) = self.begin(camera)?;
         let whole = (settings.width, settings.height);
-        let mut sink = PictureSink::create(output, &self.region, whole, shot.display_transform, self.mount)?
-            .seen_by(Census::new(shot.scene.background, shot.display_transform))
+        let display = shot.display_transform;
+        let mut sink = PictureSink::create(output, &self.region, whole, display, self.mount, "")?
+            .seen_by(self.census())
             .under(overlay);
         let counts = view.render_bands(&self.region, self.plan.band_rows, &CancelToken::new(), &mut sink)?;
         let census = sink.finish()?;
@@ -171,12 +164,21 @@ impl Rendering<'_> {
         output: &Destination,
     ) -> Result<RenderReport> {
         let (started, view) = self.begin(camera)?;
-        let held_pixels = u64::from(self.plan.band_rows) * self.region.columns.len() as u64;
-        let options = part::options(share, self.shot, overlay, self.mount)?.with_held_pixels(held_pixels);
+        let options = self.part_options(share, overlay)?;
         let counts = part::write(&view, &self.region, &options, output)?;
         let report = self.report(counts, started.elapsed(), output);
         self.remark_on_memory(&report);
         Ok(report)
+    }
+
+    fn part_options(&self, share: Share, overlay: Option<Overlay>) -> Result<PartOptions> {
+        let held_pixels = u64::from(self.plan.band_rows) * self.region.columns.len() as u64;
+        Ok(part::options(share, self.shot, overlay, self.mount)?.with_held_pixels(held_pixels))
+    }
+
+    /// Who looks at the pixels of a picture.
+    fn census(&self) -> Census {
+        Census::new(self.shot.scene.background, self.shot.display_transform)
     }
 
     fn begin(&self, camera: &Camera) -> Result<(Instant, View)> {
@@ -211,10 +213,4 @@ impl Rendering<'_> {
             ));
         }
     }
-}
-
-/// `turn.png` becomes `turn.0007.png`.
-fn numbered(path: &Path, frame: u32) -> PathBuf {
-    let extension = path.extension().map_or_else(|| "png".into(), |e| e.to_string_lossy().into_owned());
-    path.with_extension(format!("{frame:04}.{extension}"))
 }

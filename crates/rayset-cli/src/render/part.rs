@@ -5,7 +5,7 @@ use std::io::{BufWriter, Read, Write};
 
 use anyhow::{Context, Result, ensure};
 use rayset::output::{Destination, OutputFile};
-use rayset::parts::{PartOptions, Share};
+use rayset::parts::{PartError, PartOptions, Share};
 use rayset::{CancelToken, Region, RenderCounts, View};
 
 use super::shot::Shot;
@@ -43,18 +43,32 @@ pub(super) fn write(
     to: &Destination,
 ) -> Result<RenderCounts> {
     let file = OutputFile::create(to)?;
+    let rendered = render(view, region, options, &CancelToken::new(), &file)?;
+    let counts = rendered.with_context(|| cannot_write(to))?;
+    file.publish()?;
+    Ok(counts)
+}
+
+/// Renders a share into a file that has no name yet. If the render is what fails, the file is an
+/// unfinished part.
+pub(super) fn render(
+    view: &View,
+    region: &Region,
+    options: &PartOptions,
+    cancel: &CancelToken,
+    file: &OutputFile,
+) -> Result<Result<RenderCounts, PartError>> {
     let meter = Meter::new("pixels", false);
     let mut writer = BufWriter::new(file.writer());
     let mut progress = |done, total| meter.show("tracing", done, total);
-    let doing = || format!("cannot write {}", to.path().display());
-    let counts = view
-        .render_part(region, options, &CancelToken::new(), &mut progress, &mut writer)
-        .with_context(doing)?;
+    let rendered = view.render_part(region, options, cancel, &mut progress, &mut writer);
     meter.finish();
-    writer.flush().with_context(doing)?;
-    drop(writer);
-    file.publish()?;
-    Ok(counts)
+    writer.flush().with_context(|| cannot_write(file.destination()))?;
+    Ok(rendered)
+}
+
+fn cannot_write(to: &Destination) -> String {
+    format!("cannot write {}", to.path().display())
 }
 
 /// A hash of this program's file: two versions of one number may differ.

@@ -64,13 +64,15 @@ enum Encoder {
 }
 
 impl PictureSink {
-    /// For a region of a picture whose size is `whole`, by itself or mounted on a sheet.
+    /// For a region of a picture whose size is `whole`, by itself or mounted on a sheet; with a
+    /// comment, unless it is empty.
     pub(crate) fn create(
         to: &Destination,
         region: &Region,
         whole: (u32, u32),
         display_transform: DisplayTransform,
         mount: Option<Mount>,
+        comment: &str,
     ) -> Result<Self> {
         let doing = || format!("cannot write {}", to.path().display());
         let format = Format::of(to)?;
@@ -80,12 +82,13 @@ impl PictureSink {
         let (width, height) = mount.map_or((columns, rows), |mount| mount.size);
         let encoder = match format {
             Format::Png => {
-                let png = PngBands::new(output, width, height, display_transform).with_context(doing)?;
-                Encoder::Png(Box::new(png))
+                let png = PngBands::with_comment(output, width, height, display_transform, comment);
+                Encoder::Png(Box::new(png.with_context(doing)?))
             }
             Format::Exr => {
                 let corner = (region.columns.start, region.rows.start);
-                Encoder::Exr(ExrBands::new(output, (width, height), corner, whole).with_context(doing)?)
+                let exr = ExrBands::with_comment(output, (width, height), corner, whole, comment);
+                Encoder::Exr(exr.with_context(doing)?)
             }
         };
         let meter = Meter::new("pixels", false);

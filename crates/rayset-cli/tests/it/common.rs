@@ -34,3 +34,27 @@ pub(crate) fn mebibytes(memory: f64) -> (String, f64) {
     let memory = memory + (PROCESS_BYTES - OPTIMISED_BYTES) as f64 / f64::from(1 << 20);
     (format!("{memory}MiB"), memory * f64::from(1 << 20))
 }
+
+/// Lets children hear signals although whoever started these tests ignores them, as shells do with
+/// SIGINT for what runs in the background, and `nohup` with SIGHUP: a signal that is caught is not
+/// ignored in children.
+#[cfg(target_os = "linux")]
+pub(crate) fn let_children_be_interrupted() {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored =
+        status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
+        if ignored.is_some_and(|signals| signals >> (signal - 1) & 1 == 1) {
+            signal_hook::flag::register(signal, std::sync::Arc::default()).expect("it can be caught");
+        }
+    }
+}
+
+/// Sends a signal to a child.
+#[cfg(target_os = "linux")]
+pub(crate) fn send(signal: &str, child: &std::process::Child) {
+    let sent = std::process::Command::new("/bin/sh")
+        .args(["-c", &format!("kill -{signal} {}", child.id())])
+        .status();
+    assert!(sent.expect("a shell").success());
+}

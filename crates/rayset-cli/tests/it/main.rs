@@ -35,6 +35,7 @@ mod tiles;
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod tracer;
 mod turntables;
+mod unfinished;
 mod value_ranges;
 mod volume_builds;
 mod volume_looks;

@@ -8,7 +8,7 @@ use std::io::{Read, Write};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, symlink};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::{Arc, Barrier};
+use std::sync::Barrier;
 use std::time::{Duration, Instant};
 
 use rayset::octree::Cloud;
@@ -17,7 +17,7 @@ use rayset::octree::verify::Depth;
 use rayset::output::{Destination, OutputError, OutputFile};
 use rayset::points::{self, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
 
-use crate::common::{Random, folder};
+use crate::common::{Random, folder, let_children_be_interrupted, send};
 
 fn program(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
@@ -418,25 +418,6 @@ fn wait_for_partial(folder: &Path, child: &mut Child) -> bool {
         std::thread::sleep(Duration::from_millis(1));
     }
     true
-}
-
-/// Lets children hear signals although whoever started these tests ignores them, as shells do with
-/// SIGINT for what runs in the background, and `nohup` with SIGHUP: a signal that is caught is not
-/// ignored in children.
-fn let_children_be_interrupted() {
-    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let ignored =
-        status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
-        if ignored.is_some_and(|signals| signals >> (signal - 1) & 1 == 1) {
-            signal_hook::flag::register(signal, Arc::default()).expect("it can be caught");
-        }
-    }
-}
-
-fn send(signal: &str, child: &Child) {
-    let sent = Command::new("/bin/sh").args(["-c", &format!("kill -{signal} {}", child.id())]).status();
-    assert!(sent.expect("a shell").success());
 }
 
 #[test]

@@ -13,7 +13,7 @@ use exr::block::{BlockIndex, UncompressedBlock};
 use exr::compression::Compression;
 use exr::math::Vec2;
 use exr::meta::BlockDescription;
-use exr::meta::attribute::{ChannelDescription, IntegerBounds, LineOrder, SampleType};
+use exr::meta::attribute::{ChannelDescription, IntegerBounds, LineOrder, SampleType, Text};
 use exr::meta::header::{Header, ImageAttributes};
 
 use super::{Band, ImageError, LayerPixel};
@@ -80,6 +80,20 @@ impl ExrBands {
         (left, top): (u32, u32),
         whole: (u32, u32),
     ) -> Result<Self, ImageError> {
+        Self::with_comment(output, (width, height), (left, top), whole, "")
+    }
+
+    /// The same with a comment, which is the attribute `comments`; none if it is empty.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn with_comment<W: Write + Seek + Send + 'static>(
+        output: W,
+        (width, height): (u32, u32),
+        (left, top): (u32, u32),
+        whole: (u32, u32),
+        comment: &str,
+    ) -> Result<Self, ImageError> {
         let channels = CHANNELS.iter().map(|(name, value)| {
             let of_type = match value {
                 Value::Float(_) => SampleType::F32,
@@ -93,6 +107,7 @@ impl ExrBands {
             BlockDescription::ScanLines,
             LineOrder::Increasing,
         );
+        header.own_attributes.comments = Some(comment).filter(|text| !text.is_empty()).map(Text::from);
         header.own_attributes.layer_position = Vec2(left as i32, top as i32);
         let window = IntegerBounds::from_dimensions(Vec2(whole.0 as usize, whole.1 as usize));
         header.shared_attributes = ImageAttributes::new(window);

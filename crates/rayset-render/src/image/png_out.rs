@@ -30,7 +30,25 @@ impl<W: Write + 'static> PngBands<W> {
         height: u32,
         display_transform: DisplayTransform,
     ) -> Result<Self, ImageError> {
+        Self::with_comment(output, width, height, display_transform, "")
+    }
+
+    /// The same with a comment, which is a text chunk of the keyword `Comment`; none if it is
+    /// empty.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new), and if the comment has letters beyond Latin-1.
+    pub fn with_comment(
+        output: W,
+        width: u32,
+        height: u32,
+        display_transform: DisplayTransform,
+        comment: &str,
+    ) -> Result<Self, ImageError> {
         let mut encoder = png::Encoder::new(output, width, height);
+        if !comment.is_empty() {
+            encoder.add_text_chunk("Comment".into(), comment.into()).map_err(encode_error)?;
+        }
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);

@@ -33,6 +33,9 @@ pub struct Share {
 }
 
 impl Share {
+    /// All of a picture: `1/1`.
+    pub const WHOLE: Self = Self { number: 1, of: 1 };
+
     /// Share `number`, counted from 1, of `of`, up to 65 536. `None` if there is no such share.
     #[must_use]
     pub fn new(number: u32, of: u32) -> Option<Self> {
