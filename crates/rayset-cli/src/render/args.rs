@@ -44,8 +44,9 @@ pub(crate) struct RenderArgs {
     /// picture, which says so, and keep it in OUTPUT.unfinished for --resume
     #[arg(long)]
     pub(super) keep_partial: bool,
-    /// Go on with what is in OUTPUT.unfinished, to the picture of a render that was not interrupted;
-    /// from the beginning if there is no such file. Keeps what is finished, as --keep-partial
+    /// Go on with what is in OUTPUT.unfinished, to the picture of a render that was not
+    /// interrupted; from the beginning if there is no such file. Keeps what is finished, as
+    /// --keep-partial
     #[arg(long)]
     pub(super) resume: bool,
     /// Parts for OpenEXR: with all layers

@@ -120,7 +120,8 @@ impl Rendering<'_> {
             .with_resumed(keeping.resumed(unfinished)?)
             .with_kept_every(Some(KEPT_EVERY));
         let file = OutputFile::create(unfinished)?;
-        let rendered = part::render(&view, &self.region, &options, &keeping.cancel, &file)?;
+        let rendered =
+            part::render(&view, &self.region, &options, &keeping.cancel, &mut self.advice(), &file)?;
         let rendered = match rendered {
             Ok(counts) => Ok(counts),
             Err(PartError::Render(error)) => Err(error),

@@ -1,5 +1,6 @@
 //! `rayset render`: [`run`] is the way from arguments to a picture.
 
+mod advice;
 mod args;
 mod joined;
 mod kept;
@@ -22,6 +23,7 @@ use rayset::parts::{PartOptions, Share};
 use rayset::scene::Camera;
 use rayset::{CancelToken, PreparedScene, Region, RenderCounts, RenderError, View};
 
+use self::advice::Advice;
 pub(crate) use self::args::{RenderArgs, defaults};
 pub(crate) use self::joined::{Joining, write_joined};
 use self::kept::Keeping;
@@ -57,7 +59,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let needs = SceneNeeds::of(&shot.scene, &shot.settings).with_loading(loading_bytes);
     let (work, plan, prepared) = prepared(args, &shot, needs)?;
     prepared.remarks().iter().for_each(remark);
-    let rendering = Rendering { shot: &shot, prepared, region, mount, work, plan };
+    let rendering = Rendering { shot: &shot, prepared, region, mount, work, plan, keeps: args.keeps() };
     let keeping = args.keeps().then(|| Keeping::new(args.resume));
     for (number, (output, camera)) in pictures.iter().enumerate() {
         let overlay = annotations.as_ref().map(|annotations| annotations.overlay(camera));
@@ -128,6 +130,8 @@ struct Rendering<'a> {
     mount: Option<Mount>,
     work: Work,
     plan: MemoryPlan,
+    /// Whether what is finished is kept if the render is interrupted.
+    keeps: bool,
 }
 
 impl Rendering<'_> {
@@ -144,6 +148,7 @@ impl Rendering<'_> {
         let display = shot.display_transform;
         let mut sink = PictureSink::create(output, &self.region, whole, display, self.mount, "")?
             .seen_by(self.census())
+            .advised(self.advice())
             .under(overlay);
         let counts = view.render_bands(&self.region, self.plan.band_rows, &CancelToken::new(), &mut sink)?;
         let census = sink.finish()?;
@@ -165,7 +170,7 @@ impl Rendering<'_> {
     ) -> Result<RenderReport> {
         let (started, view) = self.begin(camera)?;
         let options = self.part_options(share, overlay)?;
-        let counts = part::write(&view, &self.region, &options, output)?;
+        let counts = part::write(&view, &self.region, &options, &mut self.advice(), output)?;
         let report = self.report(counts, started.elapsed(), output);
         self.remark_on_memory(&report);
         Ok(report)
@@ -174,6 +179,10 @@ impl Rendering<'_> {
     fn part_options(&self, share: Share, overlay: Option<Overlay>) -> Result<PartOptions> {
         let held_pixels = u64::from(self.plan.band_rows) * self.region.columns.len() as u64;
         Ok(part::options(share, self.shot, overlay, self.mount)?.with_held_pixels(held_pixels))
+    }
+
+    fn advice(&self) -> Advice<'_> {
+        Advice::new(&self.work.session, self.keeps)
     }
 
     /// Who looks at the pixels of a picture.

@@ -8,6 +8,7 @@ use rayset::output::{Destination, OutputFile};
 use rayset::parts::{PartError, PartOptions, Share};
 use rayset::{CancelToken, Region, RenderCounts, View};
 
+use super::advice::Advice;
 use super::shot::Shot;
 use crate::annotate::{Mount, Overlay};
 use crate::part_note::Note;
@@ -40,10 +41,11 @@ pub(super) fn write(
     view: &View,
     region: &Region,
     options: &PartOptions,
+    advice: &mut Advice<'_>,
     to: &Destination,
 ) -> Result<RenderCounts> {
     let file = OutputFile::create(to)?;
-    let rendered = render(view, region, options, &CancelToken::new(), &file)?;
+    let rendered = render(view, region, options, &CancelToken::new(), advice, &file)?;
     let counts = rendered.with_context(|| cannot_write(to))?;
     file.publish()?;
     Ok(counts)
@@ -56,11 +58,15 @@ pub(super) fn render(
     region: &Region,
     options: &PartOptions,
     cancel: &CancelToken,
+    advice: &mut Advice<'_>,
     file: &OutputFile,
 ) -> Result<Result<RenderCounts, PartError>> {
-    let meter = Meter::new("pixels", false);
+    let meter = Meter::of_time();
     let mut writer = BufWriter::new(file.writer());
-    let mut progress = |done, total| meter.show("tracing", done, total);
+    let mut progress = |done, total| {
+        meter.show("tracing", done, total);
+        advice.told(done, total);
+    };
     let rendered = view.render_part(region, options, cancel, &mut progress, &mut writer);
     meter.finish();
     writer.flush().with_context(|| cannot_write(file.destination()))?;

@@ -7,6 +7,7 @@ use rayset::image::{Band, DisplayTransform, ExrBands, PngBands};
 use rayset::output::{Destination, OutputFile, OutputWriter};
 use rayset::{BandSink, Region, SinkError};
 
+use super::advice::Advice;
 use super::sanity::Census;
 use crate::annotate::{Mount, Overlay};
 use rayset_terminal::progress::Meter;
@@ -34,13 +35,14 @@ impl Format {
 }
 
 /// Writes bands to a file that appears under its name only when it is complete.
-pub(crate) struct PictureSink {
+pub(crate) struct PictureSink<'a> {
     // Dropped before the file: an encoder writes when it is dropped.
     encoder: Encoder,
     file: OutputFile,
     meter: Meter<'static>,
     doing: &'static str,
     census: Option<Census>,
+    advice: Option<Advice<'a>>,
     /// What is laid over the picture, and the picture's first column of the whole.
     overlay: Option<Overlay>,
     left: u32,
@@ -63,7 +65,7 @@ enum Encoder {
     Exr(ExrBands),
 }
 
-impl PictureSink {
+impl<'a> PictureSink<'a> {
     /// For a region of a picture whose size is `whole`, by itself or mounted on a sheet; with a
     /// comment, unless it is empty.
     pub(crate) fn create(
@@ -91,13 +93,14 @@ impl PictureSink {
                 Encoder::Exr(exr.with_context(doing)?)
             }
         };
-        let meter = Meter::new("pixels", false);
+        let meter = Meter::of_time();
         Ok(Self {
             encoder,
             file,
             meter,
             doing: "tracing",
             census: None,
+            advice: None,
             overlay: None,
             left: mount.map_or(region.columns.start, |mount| mount.origin.0),
             margin: mount.map(|mount| Margin {
@@ -122,6 +125,11 @@ impl PictureSink {
     /// With somebody who looks at the pixels.
     pub(super) fn seen_by(self, census: Census) -> Self {
         Self { census: Some(census), ..self }
+    }
+
+    /// With advice where it takes long.
+    pub(super) fn advised(self, advice: Advice<'a>) -> Self {
+        Self { advice: Some(advice), ..self }
     }
 
     /// Completes the file. Returns who has looked at its pixels.
@@ -165,7 +173,7 @@ impl Margin {
     }
 }
 
-impl BandSink for PictureSink {
+impl BandSink for PictureSink<'_> {
     fn band(&mut self, band: &Band) -> Result<(), SinkError> {
         if let Some(census) = &mut self.census {
             census.add(band);
@@ -190,5 +198,8 @@ impl BandSink for PictureSink {
 
     fn progress(&mut self, done: u64, total: u64) {
         self.meter.show(self.doing, done, total);
+        if let Some(advice) = &mut self.advice {
+            advice.told(done, total);
+        }
     }
 }

@@ -158,10 +158,11 @@ fn the_bunny_builds_and_renders_under_20_megabytes() {
 }
 
 /// Bytes that `render` names as the smallest memory for a scene.
-fn least(folder: &Path, scene: &str, output: &str) -> u64 {
+fn least(folder: &Path, scene: &str, output: &str, more: &[&str]) -> u64 {
     let refused = Command::new(env!("CARGO_BIN_EXE_rayset"))
         .current_dir(folder)
         .args(["render", scene, "-o", output, "--threads", "2", "--memory", "1MiB"])
+        .args(more)
         .output()
         .expect("the program runs");
     let message = String::from_utf8_lossy(&refused.stderr).into_owned();
@@ -171,16 +172,16 @@ fn least(folder: &Path, scene: &str, output: &str) -> u64 {
 
 /// The smallest memory that is named suffices, and more than `share` of it is used.
 fn check_least(name: &str, scene: &str, output: &str, share: f64) {
-    check_least_in(folder().path(), name, scene, output, share);
+    check_least_in(folder().path(), name, scene, (output, &[]), share);
 }
 
-/// The same for a scene of files in a folder.
-fn check_least_in(folder: &Path, name: &str, scene: &str, output: &str, share: f64) {
+/// The same for a scene of files in a folder, with more options.
+fn check_least_in(folder: &Path, name: &str, scene: &str, (output, more): (&str, &[&str]), share: f64) {
     std::fs::write(folder.join("scene.json"), scene).expect("the scene is written");
-    let least = least(folder, "scene.json", output);
+    let least = least(folder, "scene.json", output, more);
     let memory = least.to_string();
     let options = ["--threads", "2", "--memory", &memory, "--stats", "s.json"];
-    rayset(folder, &[&["render", "scene.json", "-o", output], &options[..]].concat());
+    rayset(folder, &[&["render", "scene.json", "-o", output], &options[..], more].concat());
     let text = std::fs::read_to_string(folder.join("s.json")).expect("statistics are written");
     let stats: serde_json::Value = serde_json::from_str(&text).expect("statistics are JSON");
     let (peak, least) = (number(&stats, "peak_rss_bytes") / MIB, least as f64 / MIB);
@@ -211,6 +212,23 @@ fn wide_pictures_with_layers_need_no_more_memory_than_their_rows_take() {
     check_least("eight rows", &scene(131_072, 8), "o.exr", 0.75);
     check_least("twenty rows", &scene(65_536, 20), "o.exr", 0.75);
     check_least("many rows", &scene(16_384, 100), "o.exr", 0.75);
+}
+
+#[test]
+fn keeping_what_is_finished_stays_within_the_least_memory_that_is_named() {
+    let scene = |width: u32, height: u32, occlusion: u32| {
+        format!(
+            r#"{{"rayset": 1, "image": {{"size": [{width}, {height}]}},
+                "rendering": {{"ambientOcclusion": {occlusion}}}, "root": {{"type": "sphere", "radius": 1}}}}"#
+        )
+    };
+    let keep: &[&str] = &["--keep-partial"];
+    let check = |name: &str, scene: &str, output: &str| {
+        check_least_in(folder().path(), name, scene, (output, keep), 0.5);
+    };
+    check("wide", &scene(65_536, 40, 0), "o.png");
+    check("with layers", &scene(16_384, 100, 0), "o.exr");
+    check("tall and occluded", &scene(64, 65_536, 1), "o.png");
 }
 
 #[test]
@@ -266,7 +284,7 @@ fn of_twelve_scenes_the_least_memory_suffices_and_three_quarters_of_it_do_not() 
     ];
     for (name, root, settings, output) in scenes {
         let scene = format!(r#"{{"rayset": 1, "image": {{"size": [96, 72]}}, {settings} "root": {root}}}"#);
-        check_least_in(folder, name, &scene, output, 0.75);
+        check_least_in(folder, name, &scene, (output, &[]), 0.75);
     }
 }
 
@@ -298,7 +316,7 @@ fn caps_that_turn_out_to_need_more_memory_say_how_much_and_make_the_same_picture
     let folder = folder();
     let shell = r#"{"type": "difference", "children": [{"type": "sphere", "radius": 1}, {"type": "sphere", "radius": 0.9}]}"#;
     std::fs::write(folder.path().join("scene.json"), capped(3, shell)).expect("the scene is written");
-    let to_count = least(folder.path(), "scene.json", "o.png");
+    let to_count = least(folder.path(), "scene.json", "o.png", &[]);
     let render = |memory: &str, output: &str| {
         Command::new(env!("CARGO_BIN_EXE_rayset"))
             .current_dir(folder.path())

@@ -1,5 +1,5 @@
-//! What is finished of a picture outlives what interrupts its render, and is gone on with to the same
-//! bytes.
+//! What is finished of a picture outlives what interrupts its render, and is gone on with to the
+//! same bytes.
 
 #![cfg(target_os = "linux")]
 
@@ -41,8 +41,8 @@ fn partial_bytes(folder: &Path) -> u64 {
     partial.and_then(|name| fs::metadata(folder.join(name)).ok()).map_or(0, |of| of.len())
 }
 
-/// Runs a render and interrupts it once it has kept something more than `before` bytes. `None` if it
-/// has ended before the signal came, as it may on a busy machine.
+/// Runs a render and interrupts it once it has kept something more than `before` bytes. `None` if
+/// it has ended before the signal came, as it may on a busy machine.
 fn interrupted(f: &Path, arguments: &[&str], signal: &str, before: u64) -> Option<Output> {
     let mut command = program();
     command.current_dir(f).env("XDG_CACHE_HOME", f.join("home")).args(arguments);

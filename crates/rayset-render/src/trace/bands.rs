@@ -73,19 +73,21 @@ impl View {
         cancel: &CancelToken,
         sink: &mut (impl BandSink + ?Sized),
     ) -> Result<RenderCounts, RenderError> {
-        let (mut counts, mut done) = (RenderCounts::default(), 0);
+        let mut counts = RenderCounts::default();
+        let mut costs = self.costs(region, std::iter::once(region.clone()));
         let mut row = region.rows.start;
         while row < region.rows.end {
             let rows = row..self.end_of_band(row, band_rows, region.rows.end);
             let of_band = Region { columns: region.columns.clone(), rows };
             let upcoming = self.after(&of_band, band_rows, region);
-            let mut progress = |of_band| sink.progress(done + of_band, region.pixels());
-            let (bands, of_band_counts) =
-                self.regions(from_ref(&of_band), upcoming, cancel, &mut progress)?;
+            let mut progress = |done| sink.progress(done, region.pixels());
+            let told: (_, &mut dyn FnMut(u64)) = (&mut costs, &mut progress);
+            let (bands, of_band_counts) = self.regions(from_ref(&of_band), upcoming, cancel, told)?;
             counts += of_band_counts;
             bands.iter().try_for_each(|band| sink.band(band)).map_err(RenderError::Sink)?;
-            (row, done) = (of_band.rows.end, done + of_band.pixels());
+            row = of_band.rows.end;
         }
+        sink.progress(region.pixels(), region.pixels());
         Ok(counts)
     }
 

@@ -1,7 +1,9 @@
 //! What a session consists of: pages in memory, open files, threads, and the memory that scenes and
 //! pages share.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use super::error::MOST_THREADS;
 use super::memory::{self, SceneNeeds};
@@ -30,6 +32,8 @@ pub struct ExecSettings {
     pub tile_pixels: u32,
     /// Samples of a ray in a slab, 1 to 32.
     pub slab_samples: usize,
+    /// How long a render lasts before it looks about for what the rest of it costs, if it does.
+    pub estimates_after: Option<Duration>,
     /// Whether files are read with direct I/O, bypassing the system's page cache.
     pub direct: bool,
 }
@@ -42,6 +46,7 @@ impl Default for ExecSettings {
             simd: SimdLevel::default(),
             tile_pixels: MAX_TILE_PIXELS,
             slab_samples: SLAB_SAMPLES,
+            estimates_after: None,
             direct: false,
         }
     }
@@ -57,6 +62,9 @@ pub(super) struct Engine {
     /// Bytes for the caps of a scene, if the budget is for pages alone.
     caps_bytes: u64,
     pub(super) name_of_io: String,
+    /// Of the latest render whose costs were looked about for, the share of its time that one ray a
+    /// pixel takes: bits of an f64, not a number before.
+    share_of_one_ray: AtomicU64,
     /// Pages that stay in memory, and the clouds that they are of.
     pinned: Mutex<Pinned>,
     // Declared, and so dropped, last: dropping it ends its threads.
@@ -145,12 +153,22 @@ impl Engine {
         let files = Mutex::new(files);
         let memory = memory_bytes.map(|total| Mutex::new(Memory { total, scenes: Vec::new(), last: 0 }));
         let pinned = Mutex::default();
-        Ok(Self { files, pages, exec, memory, caps_bytes, name_of_io, pinned, scheduler })
+        let share_of_one_ray = AtomicU64::new(f64::NAN.to_bits());
+        Ok(Self { share_of_one_ray, files, pages, exec, memory, caps_bytes, name_of_io, pinned, scheduler })
     }
 
     /// The same with so many bytes for the caps of a scene, if its budget is for pages alone.
     pub(super) fn with_caps_bytes(self, caps_bytes: u64) -> Self {
         Self { caps_bytes, ..self }
+    }
+
+    pub(super) fn set_share_of_one_ray(&self, share: f64) {
+        self.share_of_one_ray.store(share.to_bits(), Ordering::Relaxed);
+    }
+
+    pub(super) fn share_of_one_ray(&self) -> Option<f64> {
+        let share = f64::from_bits(self.share_of_one_ray.load(Ordering::Relaxed));
+        (!share.is_nan()).then_some(share)
     }
 
     /// The open files.

@@ -175,7 +175,9 @@ impl Job {
                 self.lookahead_state.worked(begun.elapsed());
             }
             match traced {
-                Ok(outputs) => {
+                Ok(mut outputs) => {
+                    let seconds = begun.elapsed().as_secs_f32() / outputs.len() as f32;
+                    outputs.iter_mut().for_each(|output| output.seconds = seconds);
                     foreseen.finished(attempt.place.tile, &pages);
                     attempt.place.tiles().for_each(|tile| {
                         self.lookahead_state.finished(tile, attempt.number());
@@ -308,7 +310,7 @@ impl Job {
             *earlier.lock().unwrap_or_else(PoisonError::into_inner) = Some(Box::new(sums));
         }
         let traced = self.traced(index);
-        Output { tile, number: index, traced, pass: pass as u32, pixels, layers: known }
+        Output { tile, number: index, traced, pass: pass as u32, pixels, layers: known, seconds: 0.0 }
     }
 
     /// What the rays of a tile have seen in earlier passes; the thread's layers become those, too.

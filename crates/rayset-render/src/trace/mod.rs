@@ -13,6 +13,7 @@ mod bounce;
 mod cloud;
 mod compiler;
 mod composite;
+mod costs;
 mod counts;
 mod engine;
 mod error;

@@ -58,6 +58,8 @@ pub(super) struct Output {
     pub(super) pass: u32,
     pub(super) pixels: [[f32; 4]; LANES],
     pub(super) layers: Option<Box<[LayerPixel; LANES]>>,
+    /// Seconds that a thread took for it.
+    pub(super) seconds: f32,
 }
 
 /// The state of a render, under its lock.

@@ -8,6 +8,7 @@
 
 use std::ops::Range;
 
+use super::costs::Costs;
 use super::sink::{FinishedTile, SinkError, TileSink};
 use super::view::View;
 use super::work::{PixelMask, Region, Tile, Work};
@@ -24,20 +25,19 @@ const LINES: [(i64, i64); 4] = [(1, 0), (0, 1), (1, 1), (1, -1)];
 
 impl View {
     /// Renders regions that lie in the picture, in the order of the list. `progress` is told how
-    /// many of their pixels are finished.
+    /// many pixels of all that the costs are of are finished.
     pub(super) fn regions(
         &self,
         regions: &[Region],
         upcoming: Vec<Tile>,
         cancel: &CancelToken,
-        progress: &mut dyn FnMut(u64),
+        (costs, progress): (&mut Costs, &mut dyn FnMut(u64)),
     ) -> Result<(Vec<Band>, RenderCounts), RenderError> {
-        let layers = self.settings.records_layers();
-        let pixels = regions.iter().map(Region::pixels).sum();
+        let told = Told { view: self, cancel, costs, progress, pass: 0 };
         let Samples::Auto { exposure } = self.settings.samples else {
-            let mut canvas = Canvas::new(regions.to_vec(), layers, (1, pixels), progress);
-            let work = canvas.all(self).before(upcoming);
-            let counts = canvas.paint(self, &work, cancel)?;
+            let mut canvas = Canvas::new(regions, regions.to_vec(), told);
+            let work = canvas.all().before(upcoming);
+            let counts = canvas.paint(self, &work)?;
             return Ok((canvas.bands, counts));
         };
         let whole = self.region();
@@ -45,12 +45,18 @@ impl View {
             columns: widened(&region.columns, whole.columns.end),
             rows: widened(&region.rows, whole.rows.end),
         });
-        let mut canvas = Canvas::new(widened.collect(), layers, (2, pixels), progress);
-        let middles = canvas.all(self);
-        let mut counts = canvas.paint(&self.of_middles(), &middles, cancel)?;
-        let varying = canvas.varying(self, regions, exposure.exp2()).before(upcoming);
-        counts += canvas.paint(self, &varying, cancel)?;
-        Ok((canvas.cropped(regions), counts))
+        let mut canvas = Canvas::new(regions, widened.collect(), told);
+        let middles = canvas.all();
+        let mut counts = canvas.paint(&self.of_middles(), &middles)?;
+        let varying = canvas.varying(exposure.exp2()).before(upcoming);
+        counts += canvas.paint(self, &varying)?;
+        Ok((canvas.cropped(), counts))
+    }
+
+    /// What it is known by how far a render of some regions has come.
+    pub(super) fn costs(&self, around: &Region, regions: impl Iterator<Item = Region>) -> Costs {
+        let traces_again = matches!(self.settings.samples, Samples::Auto { .. });
+        Costs::of(around, regions, traces_again, self.prepared.engine.exec.estimates_after)
     }
 
     /// The view with one ray through the middle of each pixel.
@@ -65,42 +71,72 @@ fn widened(range: &Range<u32>, end: u32) -> Range<u32> {
     range.start.saturating_sub(1)..range.end.saturating_add(1).min(end)
 }
 
+/// Who is told how far a render has come, and how that is known.
+struct Told<'p> {
+    view: &'p View,
+    cancel: &'p CancelToken,
+    costs: &'p mut Costs,
+    progress: &'p mut dyn FnMut(u64),
+    /// How often the regions have been painted.
+    pass: usize,
+}
+
+impl Told<'_> {
+    /// A tile is finished; `is_wanted` if it is of the regions, not around them.
+    fn finished(&mut self, tile: &FinishedTile<'_>, is_wanted: bool) {
+        self.costs.finished(&tile.tile, tile.traced.len(), self.pass, tile.seconds, is_wanted);
+        if self.costs.are_due() {
+            self.probe();
+        }
+        (self.progress)(self.costs.done());
+    }
+
+    /// Traces a tile in each cell, to know what that costs. Where it fails, nothing
+    /// more is known: the render meets the same error.
+    fn probe(&mut self) {
+        for regions in self.costs.begin_probes() {
+            for is_warm in [false, true] {
+                self.costs.probe(is_warm);
+                let told: (&mut Costs, &mut dyn FnMut(u64)) = (self.costs, &mut |_| {});
+                let _ = self.view.regions(&regions, Vec::new(), self.cancel, told);
+            }
+        }
+        let one_ray = self.costs.end_probes();
+        let rays = self.view.settings.samples.along_a_side().pow(2);
+        let again = matches!(self.view.settings.samples, Samples::Auto { .. });
+        let share = if again { one_ray } else { 1.0 / f64::from(rays) };
+        self.view.prepared.engine.set_share_of_one_ray(share);
+    }
+}
+
 /// Bands that are being filled with finished tiles.
 struct Canvas<'p> {
+    /// What is wanted, and that with what is around it.
+    wanted: &'p [Region],
     regions: Vec<Region>,
     /// Of each region.
     bands: Vec<Band>,
     /// For each tile of the work, the number of its region; empty if there is one region.
     owners: Vec<u32>,
-    /// Pixels of the work that are finished, and all.
-    done: (u64, u64),
-    /// How often the regions are painted, and how often they have been.
-    times: (u64, u64),
-    /// The pixels of which progress is told.
-    pixels: u64,
-    progress: &'p mut dyn FnMut(u64),
+    told: Told<'p>,
 }
 
 impl<'p> Canvas<'p> {
-    fn new(
-        regions: Vec<Region>,
-        layers: bool,
-        (times, pixels): (u64, u64),
-        progress: &'p mut dyn FnMut(u64),
-    ) -> Self {
+    fn new(wanted: &'p [Region], regions: Vec<Region>, told: Told<'p>) -> Self {
+        let layers = told.view.settings.records_layers();
         let band = |region: &Region| {
             let (width, rows) = (region.columns.len() as u32, region.rows.len() as u32);
             Band::new(region.rows.start, width, rows, layers)
         };
         let bands = regions.iter().map(band).collect();
-        Self { regions, bands, owners: Vec::new(), done: (0, 0), times: (times, 0), pixels, progress }
+        Self { wanted, regions, bands, owners: Vec::new(), told }
     }
 
     /// All tiles of the regions.
-    fn all(&mut self, view: &View) -> Work {
+    fn all(&mut self) -> Work {
         let mut all = Vec::new();
         for number in 0..self.regions.len() {
-            let tiles = view.tiles(&self.regions[number]);
+            let tiles = self.told.view.tiles(&self.regions[number]);
             self.own(number, tiles.len());
             if all.is_empty() { all = tiles } else { all.extend(tiles) }
         }
@@ -118,31 +154,23 @@ impl<'p> Canvas<'p> {
     }
 
     /// Renders tiles into the bands.
-    fn paint(&mut self, view: &View, work: &Work, cancel: &CancelToken) -> Result<RenderCounts, RenderError> {
-        self.done = (0, work.traced_pixels());
+    fn paint(&mut self, view: &View, work: &Work) -> Result<RenderCounts, RenderError> {
+        let cancel = self.told.cancel;
         let counts = view.render(work, cancel, self)?;
-        (self.times.1, self.done) = (self.times.1 + 1, (0, 0));
-        self.told();
+        self.told.pass += 1;
         Ok(counts)
     }
 
-    /// Tells how far the picture has come.
-    fn told(&mut self) {
-        let ((done, all), (times, time), pixels) = (self.done, self.times, self.pixels);
-        let of_this =
-            if all > 0 && time < times { u128::from(pixels) * u128::from(done) / u128::from(all) } else { 0 };
-        (self.progress)((pixels * time + of_this as u64) / times);
-    }
-
-    /// Of regions within those of the canvas, the pixels that vary.
-    fn varying(&mut self, view: &View, regions: &[Region], brightness: f32) -> Work {
+    /// Of the wanted pixels, those that vary.
+    fn varying(&mut self, brightness: f32) -> Work {
         let (mut all, mut varying) = (Vec::new(), Vec::new());
-        for (number, region) in regions.iter().enumerate() {
+        for (number, region) in self.wanted.iter().enumerate() {
             let (columns, band) = (&self.regions[number].columns, &self.bands[number]);
             let middles = Middles { columns, band, brightness };
-            let (mut tiles, before) = (view.tiles(region), varying.len());
+            let (mut tiles, before) = (self.told.view.tiles(region), varying.len());
             tiles.retain(|tile| {
                 let of_tile = middles.varying(tile);
+                self.told.costs.decided(tile, of_tile.len());
                 if of_tile != PixelMask(0) {
                     varying.push(of_tile);
                 }
@@ -154,8 +182,8 @@ impl<'p> Canvas<'p> {
         Work::pixels(all, varying)
     }
 
-    /// The bands of regions within those of the canvas.
-    fn cropped(self, regions: &[Region]) -> Vec<Band> {
+    /// The wanted parts of the bands.
+    fn cropped(self) -> Vec<Band> {
         let crop = |((mut band, of_band), region): ((Band, &Region), &Region)| {
             let (width, left) =
                 (band.width as usize, (region.columns.start - of_band.columns.start) as usize);
@@ -168,7 +196,7 @@ impl<'p> Canvas<'p> {
             (band.first_row, band.width) = (region.rows.start, columns as u32);
             band
         };
-        self.bands.into_iter().zip(&self.regions).zip(regions).map(crop).collect()
+        self.bands.into_iter().zip(&self.regions).zip(self.wanted).map(crop).collect()
     }
 }
 
@@ -176,8 +204,9 @@ impl TileSink for Canvas<'_> {
     fn tile(&mut self, finished: &FinishedTile<'_>) -> Result<(), SinkError> {
         let owner = self.owners.get(finished.number).map_or(0, |&owner| owner as usize);
         finished.paste(&mut self.bands[owner], self.regions[owner].columns.start);
-        self.done.0 += finished.traced.len();
-        self.told();
+        let Region { columns, rows } = &self.wanted[owner];
+        let is_wanted = columns.contains(&finished.tile.x) && rows.contains(&finished.tile.y);
+        self.told.finished(finished, is_wanted);
         Ok(())
     }
 }

@@ -133,6 +133,14 @@ impl SessionBuilder {
         self
     }
 
+    /// A render that lasts longer than this traces a hundredth of its picture beforehand, so that
+    /// the progress that it tells is that of its time; by default, none does. What is traced for
+    /// that appears in the statistics of pages, and nowhere else.
+    pub fn estimates_after(mut self, after: Duration) -> Self {
+        self.exec.estimates_after = Some(after);
+        self
+    }
+
     /// Creates the session and starts its threads.
     ///
     /// # Errors
@@ -197,6 +205,14 @@ impl Session {
     #[must_use]
     pub fn io(&self) -> &str {
         &self.0.name_of_io
+    }
+
+    /// Of the latest render that has lasted long enough to look about for what it costs (see
+    /// [`SessionBuilder::estimates_after`]), the share of its time that one ray through the middle
+    /// of each pixel takes, 0 to 1.
+    #[must_use]
+    pub fn share_of_one_ray(&self) -> Option<f64> {
+        self.0.share_of_one_ray()
     }
 
     /// Statistics of the pages read, computed and evicted since the session was created, or since

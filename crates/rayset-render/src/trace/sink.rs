@@ -24,6 +24,8 @@ pub struct FinishedTile<'a> {
     pub pass: u32,
     /// Number of passes: the tile is final after the last.
     pub passes: u32,
+    /// Seconds that a thread took for it in this pass.
+    pub(super) seconds: f32,
     /// Its pixels, row after row: red, green, blue (premultiplied, linear light) and opacity.
     pub pixels: &'a [[f32; 4]],
     /// The layers of each pixel if they are requested, otherwise empty.

@@ -169,6 +169,7 @@ impl View {
                         traced: tile.traced,
                         pass: tile.pass,
                         passes: job.passes(),
+                        seconds: tile.seconds,
                         pixels: &tile.pixels[..pixels],
                         layers: tile.layers.as_ref().map_or(&[], |layers| &layers[..pixels]),
                     };

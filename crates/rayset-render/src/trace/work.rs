@@ -117,14 +117,6 @@ impl Work {
         Self { traced: Some(traced), ..Self::tiles(tiles) }
     }
 
-    /// How many pixels are traced.
-    pub(super) fn traced_pixels(&self) -> u64 {
-        match &self.traced {
-            Some(traced) => traced.iter().map(|traced| traced.len()).sum(),
-            None => self.tiles.iter().map(|tile| tile.pixels() as u64).sum(),
-        }
-    }
-
     /// The same work, when it is known which tiles will be rendered next.
     pub(super) fn before(self, upcoming: Vec<Tile>) -> Self {
         Self { upcoming, ..self }

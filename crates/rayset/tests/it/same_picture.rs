@@ -117,6 +117,29 @@ fn tiles_that_are_put_off_become_the_same_pixels() {
 }
 
 #[test]
+fn looking_about_for_what_the_rest_costs_changes_no_pixel_and_no_count_of_samples() {
+    let folder = folder();
+    for (scene, settings) in scenes(folder.path()) {
+        for samples in [settings.samples, Samples::Auto { exposure: 0.0 }] {
+            let settings = RenderSettings { samples, layers: true, ..settings };
+            let page = u64::from(clouds_of(&scene)[0].header().page_bytes);
+            let rendered = |estimates_after: Option<Duration>, threads: usize| {
+                let paged = paged(&scene, least_pages(threads) * page);
+                let exec = ExecSettings { estimates_after, ..exec(threads) };
+                render_once(&scene, &camera(), &settings, &exec, &paged).expect("a picture")
+            };
+            let (expected, counts) = rendered(None, 1);
+            for threads in [1, 3] {
+                let (found, found_counts) = rendered(Some(Duration::ZERO), threads);
+                assert!(format!("{found:?}") == format!("{expected:?}"), "{samples:?}, {threads} threads");
+                let samples_of = |counts: &rayset::RenderCounts| (counts.rays, counts.samples);
+                assert_eq!(samples_of(&found_counts), samples_of(&counts), "{threads} threads");
+            }
+        }
+    }
+}
+
+#[test]
 fn where_the_pages_of_a_tile_do_not_fit_looking_ahead_reads_hardly_more_than_not_to() {
     let folder = folder();
     let scene = scene(&workload_cloud("sphere-1m", folder.path()), Kernel::Triweight, false);

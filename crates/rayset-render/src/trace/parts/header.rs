@@ -5,7 +5,7 @@
 //! | 36 | magic, version, lengths and CRC-32C of the two that follow, CRC-32C of these 32 bytes |
 //! | | what the part says of itself, JSON |
 //! | | the caller's note, compressed by LZ4 |
-//! | | the blocks of the share, in order |
+//! | | the blocks of the share, in order; of an unfinished part, the first of them |
 //! | 8 each | of every block its length and its CRC-32C |
 //! | 28 | where that index is, number of blocks, CRC-32C of the index and of this, magic |
 //!

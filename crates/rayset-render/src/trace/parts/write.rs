@@ -10,6 +10,7 @@ use super::header::{About, ENTRY_BYTES, Foot, Head, MOST_NOTE_BYTES, MOST_TEXT_B
 use super::part::Part;
 use super::same::Same;
 use super::share::{MOST_BLOCKS, Share};
+use crate::trace::costs::Costs;
 use crate::trace::work::{LOOKAHEAD_TILE_PIXELS, Region};
 use crate::trace::{RenderCounts, View};
 use rayset_base::cancel::CancelToken;
@@ -89,7 +90,8 @@ impl View {
         let pixels = |squares: usize| own().take(squares).map(|square| square.pixels()).sum::<u64>();
         let (before, total) = (pixels(taken), pixels(usize::MAX));
         let mut of_rest = |done| progress(before + done, total);
-        let mut squares = Squares { rest: own().skip(taken), pace: Pace::of(options) };
+        let costs = self.costs(&about.rendered(), own().skip(taken));
+        let mut squares = Squares { rest: own().skip(taken), pace: Pace::of(options), costs };
         let rendered = self.squares(&mut squares, about.contents, cancel, &mut of_rest, &mut writing);
         writing.finish()?;
         rendered
@@ -104,18 +106,18 @@ impl View {
         progress: &mut dyn FnMut(u64),
         writing: &mut Writing<'_>,
     ) -> Result<RenderCounts, PartError> {
-        let (mut counts, mut done) = (RenderCounts::default(), 0);
+        let mut counts = RenderCounts::default();
         loop {
             let held = squares.next();
             if held.is_empty() {
+                progress(squares.costs.pixels());
                 return Ok(counts);
             }
             let begun = Instant::now();
-            let mut of_held = |finished| progress(done + finished);
-            let (bands, of_bands) = self.regions(&held, Vec::new(), cancel, &mut of_held)?;
+            let told: (_, &mut dyn FnMut(u64)) = (&mut squares.costs, progress);
+            let (bands, of_bands) = self.regions(&held, Vec::new(), cancel, told)?;
             squares.pace.took(begun.elapsed());
             counts += of_bands;
-            done += held.iter().map(Region::pixels).sum::<u64>();
             for band in bands {
                 writing.block(&contents.encode(&band.pixels, &band.layers))?;
             }
@@ -132,10 +134,11 @@ impl View {
     }
 }
 
-/// The squares that are still to be rendered, and how many of them together.
+/// The squares that are still to be rendered, how many of them together, and what they cost.
 struct Squares<I> {
     rest: I,
     pace: Pace,
+    costs: Costs,
 }
 
 impl<I: Iterator<Item = Region>> Squares<I> {
