@@ -7,7 +7,6 @@
 
 use std::fs::File;
 use std::io;
-use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
@@ -18,9 +17,11 @@ use rayset::storage::address_of;
 use rayset::{CancelToken, Region, RenderError};
 
 use super::joined::{Joining, write_joined};
+use super::part;
+use super::pictures::Output;
+use super::rendering::Rendering;
 use super::report::RenderReport;
 use super::sanity::Census;
-use super::{Output, Rendering, part};
 use crate::annotate::Overlay;
 use rayset_terminal::interrupts::{self, Stopped, Stopping};
 use rayset_terminal::report::{name_of, remark};
@@ -33,13 +34,6 @@ pub(super) struct Keeping {
     cancel: CancelToken,
     stopping: Stopping,
     resumes: bool,
-}
-
-/// Where what is finished of an output is kept.
-pub(super) fn beside(output: &Path) -> PathBuf {
-    let mut path = output.as_os_str().to_owned();
-    path.push(".unfinished");
-    path.into()
 }
 
 /// Refuses outputs beside which nothing can be kept.

@@ -7,6 +7,7 @@ mod kept;
 mod part;
 mod picture;
 mod pictures;
+mod rendering;
 mod report;
 mod sanity;
 mod shot;
@@ -14,29 +15,21 @@ mod sink;
 mod warnings;
 mod work;
 
-use std::time::{Duration, Instant};
-
 use anyhow::{Result, ensure};
 use rayset::memory::{MemoryPlan, SceneNeeds};
 use rayset::output::Destination;
-use rayset::parts::{PartOptions, Share};
-use rayset::scene::Camera;
-use rayset::{CancelToken, PreparedScene, Region, RenderCounts, RenderError, View};
+use rayset::{PreparedScene, RenderError};
 
-use self::advice::Advice;
 pub(crate) use self::args::{RenderArgs, defaults};
 pub(crate) use self::joined::{Joining, write_joined};
 use self::kept::Keeping;
-use self::pictures::{Output, pictures};
-use self::report::RenderReport;
-use self::sanity::{Census, Circumstances};
+use self::pictures::pictures;
+use self::rendering::Rendering;
 use self::shot::Shot;
 pub(crate) use self::sink::Format;
-use self::sink::PictureSink;
 use self::work::Work;
-use crate::annotate::{Mount, Overlay};
 use rayset_terminal::outputs::{self, Outputs};
-use rayset_terminal::report::{bytes, json_text, remark};
+use rayset_terminal::report::{json_text, remark};
 
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     // Reading the scene may take long: what can be refused before that is refused first.
@@ -120,106 +113,4 @@ fn check_output(args: &RenderArgs) -> Result<bool> {
         "--annotate draws on pictures for display; an OpenEXR file holds the light as computed: write a .png"
     );
     Ok(format == Format::Exr)
-}
-
-/// What is rendered, and by what means.
-struct Rendering<'a> {
-    shot: &'a Shot,
-    prepared: PreparedScene,
-    region: Region,
-    mount: Option<Mount>,
-    work: Work,
-    plan: MemoryPlan,
-    /// Whether what is finished is kept if the render is interrupted.
-    keeps: bool,
-}
-
-impl Rendering<'_> {
-    /// Renders one picture.
-    fn picture(
-        &self,
-        camera: &Camera,
-        overlay: Option<Overlay>,
-        output: &Destination,
-    ) -> Result<RenderReport> {
-        let (shot, settings) = (self.shot, &self.shot.settings);
-        let (started, view) = self.begin(camera)?;
-        let whole = (settings.width, settings.height);
-        let display = shot.display_transform;
-        let mut sink = PictureSink::create(output, &self.region, whole, display, self.mount, "")?
-            .seen_by(self.census())
-            .advised(self.advice())
-            .under(overlay);
-        let counts = view.render_bands(&self.region, self.plan.band_rows, &CancelToken::new(), &mut sink)?;
-        let census = sink.finish()?;
-        let report = self.report(counts, started.elapsed(), output);
-        if let Some(census) = census {
-            census.remark(&counts, &self.circumstances());
-        }
-        self.remark_on_memory(&report);
-        Ok(report)
-    }
-
-    /// Renders a share of one picture.
-    fn part(
-        &self,
-        camera: &Camera,
-        overlay: Option<Overlay>,
-        share: Share,
-        output: &Destination,
-    ) -> Result<RenderReport> {
-        let (started, view) = self.begin(camera)?;
-        let options = self.part_options(share, overlay)?;
-        let counts = part::write(&view, &self.region, &options, &mut self.advice(), output)?;
-        let report = self.report(counts, started.elapsed(), output);
-        self.remark_on_memory(&report);
-        Ok(report)
-    }
-
-    fn part_options(&self, share: Share, overlay: Option<Overlay>) -> Result<PartOptions> {
-        let held_pixels = u64::from(self.plan.band_rows) * self.region.columns.len() as u64;
-        Ok(part::options(share, self.shot, overlay, self.mount)?.with_held_pixels(held_pixels))
-    }
-
-    fn advice(&self) -> Advice<'_> {
-        Advice::new(&self.work.session, self.keeps)
-    }
-
-    /// Who looks at the pixels of a picture.
-    fn census(&self) -> Census {
-        Census::new(self.shot.scene.background, self.shot.display_transform)
-    }
-
-    fn begin(&self, camera: &Camera) -> Result<(Instant, View)> {
-        let started = Instant::now();
-        self.work.session.reset_statistics();
-        Ok((started, self.prepared.view(camera)?))
-    }
-
-    fn report(&self, counts: RenderCounts, elapsed: Duration, output: &Destination) -> RenderReport {
-        let report = RenderReport::new(&self.work, &self.plan, counts, elapsed);
-        report.describe(output.path());
-        report
-    }
-
-    fn circumstances(&self) -> Circumstances {
-        let settings = &self.shot.settings;
-        Circumstances {
-            points: self.shot.points,
-            chosen: self.shot.chosen.is_some(),
-            is_solid: self.shot.look == Some("labels"),
-            cropped: self.region.pixels() < u64::from(settings.width) * u64::from(settings.height),
-        }
-    }
-
-    fn remark_on_memory(&self, report: &RenderReport) {
-        let comfortable = self.plan.comfortable_bytes;
-        if report.memory_bytes < comfortable && report.pages.reads_per_page > 2.0 {
-            remark(format_args!(
-                "pages were read {:.1} times each; --memory {} would do better",
-                report.pages.reads_per_page,
-                bytes(comfortable)
-            ));
-        }
-    }
 }

@@ -8,7 +8,6 @@ use rayset::output::Destination;
 use rayset::scene::Camera;
 
 use super::args::RenderArgs;
-use super::kept;
 use super::shot::Shot;
 use rayset_inputs::values::Frames;
 use rayset_terminal::outputs::Outputs;
@@ -30,7 +29,7 @@ impl Output {
         outputs: &mut Outputs,
     ) -> Result<Self> {
         let destination = outputs.add(path, None)?;
-        let unfinished = args.keeps().then(|| outputs.add(&kept::beside(path), None)).transpose()?;
+        let unfinished = args.keeps().then(|| outputs.add(&beside(path), None)).transpose()?;
         Ok(Self { destination, unfinished, frames })
     }
 
@@ -74,4 +73,11 @@ pub(super) fn pictures(
 fn numbered(path: &Path, frame: u32) -> PathBuf {
     let extension = path.extension().map_or_else(|| "png".into(), |e| e.to_string_lossy().into_owned());
     path.with_extension(format!("{frame:04}.{extension}"))
+}
+
+/// Where what is finished of an output is kept.
+pub(super) fn beside(output: &Path) -> PathBuf {
+    let mut path = output.as_os_str().to_owned();
+    path.push(".unfinished");
+    path.into()
 }

@@ -121,7 +121,7 @@ impl Work {
             .simd(args.simd)
             .tile_pixels(args.tile)
             .slab_samples(args.slab)
-            .estimates_after(Duration::from_secs(1))
+            .estimates_after(Duration::from_secs(2))
             .io(kind)
             .direct(args.direct)
             .read_delay(Duration::from_secs_f64(milliseconds / 1e3))

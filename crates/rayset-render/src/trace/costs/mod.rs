@@ -10,8 +10,10 @@ use std::time::{Duration, Instant};
 
 use super::work::{MAX_TILE_PIXELS, Region, Tile};
 
-/// Cells of a picture, about.
-const CELLS: f64 = 100.0;
+/// Cells of a picture, about: at most so many, so that their probes, traced twice, are at most
+/// such a share of all that is traced.
+const MAX_CELLS: f64 = 100.0;
+const MAX_SHARE_OF_PROBES: f64 = 0.03;
 /// Where probes are in their cells differs from cell to cell, so that no row of things is met by
 /// all or by none: multiples of 1/g and 1/g², where g³ = g + 1 (M. Roberts, "The Unreasonable
 /// Effectiveness of Quasirandom Sequences", 2018).
@@ -123,7 +125,9 @@ impl Costs {
     ) -> Self {
         let (width, height) = (around.columns.len() as f64, around.rows.len() as f64);
         // No tile is in two cells, unless tiles are of an odd size.
-        let edge = ((width * height / CELLS).sqrt() as u32).next_multiple_of(MAX_TILE_PIXELS);
+        let of_probes = 2.0 * f64::from(MAX_TILE_PIXELS.pow(2)) / MAX_SHARE_OF_PROBES;
+        let pixels_of_cell = (width * height / MAX_CELLS).max(of_probes);
+        let edge = (pixels_of_cell.sqrt() as u32).next_multiple_of(MAX_TILE_PIXELS);
         let edge = edge.max(MAX_TILE_PIXELS);
         let cells = |of: &Range<u32>| (of.end - on_lattice(of.start)).div_ceil(edge).max(1);
         let size = (cells(&around.columns), cells(&around.rows));
@@ -288,7 +292,9 @@ impl Costs {
 
     /// Seconds that the rest takes. Pages and tables of shadows are needed first by a cold probe,
     /// and are there for a warm one; of the rest, several tiles share them. So it takes more than
-    /// warm probes did and less than cold ones, by as much as tiles have since.
+    /// warm probes did and less than cold ones, by as much as tiles have since. It may take less,
+    /// too, for rays that bounce are traced in fuller packets with those of other tiles; how much
+    /// less is known once much of the picture is finished.
     fn left(&self) -> f64 {
         if self.probes != Probes::Done {
             return self.rest_of(&self.all);
@@ -299,7 +305,8 @@ impl Costs {
         }
         let most = if self.warm > 0.0 { (self.cold / self.warm).max(1.0) } else { 1.0 };
         let scale = if self.since.1 > 0.0 { self.since.0 / self.since.1 } else { most.sqrt() };
-        scale.clamp(1.0, most) * self.rest.max(0.0)
+        let finished = self.spent / (self.spent + self.rest.max(0.0)).max(1e-9);
+        scale.clamp(1.0 - 0.5 * (finished - 0.2).max(0.0), most) * self.rest.max(0.0)
     }
 
     /// How many of the pixels to render are finished, as far as their costs say; never fewer than
