@@ -286,6 +286,7 @@ impl Costs {
     }
 
     /// How many pixels are rendered.
+    #[cfg(feature = "parts")]
     pub(super) fn pixels(&self) -> u64 {
         self.pixels
     }
