@@ -14,8 +14,13 @@ const MOST_KEYS: usize = 16_384;
 /// Default width and height of a picture in pixels.
 const SIZE: u32 = 512;
 
+/// Default resolution of the tables of shadows. They are the default, with and without settings
+/// under `rendering`.
+const SHADOW_RESOLUTION: u32 = 512;
+
 pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTransform), SceneFileError> {
-    let mut settings = RenderSettings { width: SIZE, height: SIZE, ..RenderSettings::default() };
+    let shadows = Shadows::Cached { resolution: SHADOW_RESOLUTION };
+    let mut settings = RenderSettings { width: SIZE, height: SIZE, shadows, ..RenderSettings::default() };
     let mut display_transform = DisplayTransform::default();
     if let Some(at) = file.get("image") {
         let image = at.object(&["size", "samples", "pattern", "exposure", "toneMapping"])?;
@@ -60,7 +65,8 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
         settings.ambient_occlusion = occlusion as f32;
         settings.cap_resolution =
             rendering.read_or("capResolution", settings.cap_resolution, |at| at.whole(8, 1024))?;
-        let resolution = rendering.read_or("shadowResolution", 512, |at| at.whole(16, 16384))?;
+        let resolution =
+            rendering.read_or("shadowResolution", SHADOW_RESOLUTION, |at| at.whole(16, 16384))?;
         let kinds = [("exact", Shadows::Exact), ("cached", Shadows::Cached { resolution })];
         settings.shadows =
             rendering.read_or("shadows", Shadows::Cached { resolution }, |at| at.one_of(&kinds))?;

@@ -183,3 +183,33 @@ fn everything_that_the_schema_names_is_read() {
     });
     assert_eq!(presets, 1);
 }
+
+#[test]
+fn a_scene_without_a_setting_is_as_the_schema_says_it_is_by_default() {
+    let parse = |scene: &Value| {
+        let text = scene.to_string();
+        SceneFile::parse(Path::new("scene.json"), &text).unwrap_or_else(|e| panic!("{text}: {e}"))
+    };
+    let bare = serde_json::json!({"rayset": 1, "root": {"type": "sphere", "radius": 1}});
+    let [with_nothing, with_empty, with_all] = [0, 1, 2].map(|kind| {
+        let mut scene = bare.clone();
+        for group in ["image", "rendering"] {
+            let schema = read(&project().join("docs/scene.schema.json"));
+            let known = schema["properties"][group]["properties"].as_object().expect("settings").clone();
+            let defaults =
+                known.into_iter().filter_map(|(name, of)| Some((name, of.get("default")?.clone())));
+            let defaults: serde_json::Map<String, Value> = defaults.collect();
+            assert!(defaults.len() >= 5, "{group}: {defaults:?}");
+            match kind {
+                0 => continue,
+                1 => scene[group] = serde_json::json!({}),
+                _ => scene[group] = defaults.into(),
+            }
+        }
+        parse(&scene)
+    });
+    for other in [with_empty, with_all] {
+        assert_eq!(other.settings, with_nothing.settings);
+        assert_eq!(format!("{:?}", other.display_transform), format!("{:?}", with_nothing.display_transform));
+    }
+}
