@@ -58,3 +58,12 @@ pub(crate) fn send(signal: &str, child: &std::process::Child) {
         .status();
     assert!(sent.expect("a shell").success());
 }
+
+/// The names of what is in a folder, sorted.
+pub(crate) fn names(folder: &std::path::Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).expect("the folder lists");
+    let mut names: Vec<String> =
+        entries.map(|e| e.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}

@@ -17,7 +17,7 @@ use rayset::octree::verify::Depth;
 use rayset::output::{Destination, OutputError, OutputFile};
 use rayset::points::{self, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
 
-use crate::common::{Random, folder, let_children_be_interrupted, send};
+use crate::common::{Random, folder, let_children_be_interrupted, names, send};
 
 fn program(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
@@ -41,14 +41,6 @@ fn fails(folder: &Path, arguments: &[&str]) -> String {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{arguments:?}: {said}");
     said
-}
-
-fn names(folder: &Path) -> Vec<String> {
-    let entries = fs::read_dir(folder).expect("the folder lists");
-    let mut names: Vec<String> =
-        entries.map(|e| e.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
 }
 
 /// A folder with `points.ply` and a cloud of it, `cloud.rset`.

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::{folder, let_children_be_interrupted, program, run, send, succeeds};
+use crate::common::{folder, let_children_be_interrupted, names, program, run, send, succeeds};
 
 /// A scene that takes a while, in every square of its picture.
 const SCENE: &str = r#"{"rayset": 1, "image": {"size": [640, 480], "samples": 1},
@@ -18,14 +18,6 @@ const SCENE: &str = r#"{"rayset": 1, "image": {"size": [640, 480], "samples": 1}
     "root": {"type": "union", "children": [
         {"type": "noise", "radii": [1.2, 1.2, 1.2], "scale": 1, "octaves": 2, "opacity": 0.1},
         {"type": "sphere", "radius": 0.8}]}}"#;
-
-fn names(folder: &Path) -> Vec<String> {
-    let entries = fs::read_dir(folder).expect("the folder lists");
-    let mut names: Vec<String> =
-        entries.map(|e| e.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
-}
 
 /// What a run that fails says.
 fn fails(folder: &Path, arguments: &[&str]) -> String {

@@ -105,15 +105,19 @@ pub struct RayEnds<'a> {
     pub absorption: LeastAbsorption,
 }
 
-/// A lower bound of the optical depth of a sample.
+/// A lower bound of the optical depth of a sample by its density: 0, then a line, then a constant.
 #[derive(Clone, Copy, Debug)]
 pub struct LeastAbsorption {
-    /// At unit density; in proportion to it elsewhere.
+    /// The density from which on the line rises.
+    pub from: f32,
+    /// By how much it rises for each unit of density.
     pub per_density: f32,
-    /// The most that it may be.
+    /// The most that it may come to.
     pub most: f32,
-    /// The density from which on it is the most.
+    /// The density from which on the constant holds.
     pub full: f32,
+    /// The constant.
+    pub when_full: f32,
 }
 
 impl LeastAbsorption {
@@ -121,8 +125,17 @@ impl LeastAbsorption {
     #[inline(always)]
     pub(super) fn sum<S: Simd>(&self, density: f32x8<S>) -> f32 {
         let most = f32x8::splat(density.simd, self.most);
-        let depth = (density * self.per_density).max(0.0).min(most);
-        density.simd_ge(self.full).select(most, depth).reduce_sum()
+        // A density that is NaN absorbs nothing.
+        let line = ((density - self.from) * self.per_density).max(0.0).min(most);
+        let constant = f32x8::splat(density.simd, self.when_full);
+        density.simd_ge(self.full).select(constant, line).reduce_sum()
+    }
+
+    /// That of one sample.
+    #[cfg(test)]
+    pub(crate) fn of(&self, density: f32) -> f32 {
+        let line = ((density - self.from) * self.per_density).max(0.0).min(self.most);
+        if density >= self.full { self.when_full } else { line }
     }
 }
 

@@ -3,7 +3,7 @@
 use super::access::{Access, Halt};
 use super::cloud::{CloudMarch, CloudScratch, Remaining, Request};
 use super::counts::RenderCounts;
-use super::grid::{GridMarch, GridRequest, GridScratch};
+use super::grid::{GridMarch, GridRequest, GridScratch, GridVolume};
 use super::node_samples::{Live, Measure, NodeSamples};
 use super::procedural::{ProceduralMarch, ProceduralRequest, ProceduralVolume};
 use super::program::{Action, Instruction, Program};
@@ -80,6 +80,25 @@ impl<'a> Query<'a> {
         self.ends.filter(|_| depths).map(|ends| &ends.depth)
     }
 }
+
+// Marches are large. Where one is made by a function of its own, no instruction of any slab keeps
+// room for it on its stack.
+
+#[inline(never)]
+fn new_march(packet: &Packet) -> Box<CloudMarch> {
+    Box::new(CloudMarch::new(packet))
+}
+
+#[inline(never)]
+fn begin_grid(volume: &GridVolume, packet: &Packet) -> Box<GridMarch> {
+    Box::new(volume.begin(packet))
+}
+
+#[inline(never)]
+fn begin_field(volume: &ProceduralVolume, packet: &Packet, outside: bool) -> Box<ProceduralMarch> {
+    Box::new(volume.begin(packet, outside))
+}
+
 impl<'p> GraphSamples<'p> {
     pub(super) fn new(program: &'p Program) -> Self {
         let count = program.instructions.len();
@@ -240,7 +259,7 @@ impl<'p> GraphSamples<'p> {
         match &instruction.action {
             Action::Cloud(volume) => {
                 let (march, begun) = &mut self.clouds[at];
-                let march = march.get_or_insert_with(|| Box::new(CloudMarch::new(asked.packet)));
+                let march = march.get_or_insert_with(|| new_march(asked.packet));
                 if !*begun {
                     self.scratch.find_room(asked.access);
                     march.begin(asked.access, volume, asked.packet, program.simd)?;
@@ -255,7 +274,7 @@ impl<'p> GraphSamples<'p> {
             }
             Action::Grid(volume) => {
                 let Query { access, packet, slab, live, .. } = asked;
-                let march = self.grids[at].get_or_insert_with(|| Box::new(volume.begin(packet)));
+                let march = self.grids[at].get_or_insert_with(|| begin_grid(volume, packet));
                 let (simd, measure, ends) = (program.simd, measures.0, asked.ends_of(instruction));
                 let request =
                     GridRequest { access, march, slab, live, measure, required, simd, ends, grid: at };
@@ -286,16 +305,16 @@ impl<'p> GraphSamples<'p> {
         let instruction = &self.program.instructions[at];
         let Instruction { measures, made: required, .. } = *instruction;
         let Query { packet, slab, live, .. } = asked;
-        let begin = || volume.begin(packet, required.outside);
+        let begin = || begin_field(volume, packet, required.outside);
         let of_slab;
         let march = match &mut self.fields[at] {
             None if self.known_fields == MOST_FIELDS => {
                 of_slab = begin();
-                &of_slab
+                &*of_slab
             }
             known => {
                 self.known_fields += usize::from(known.is_none());
-                &**known.get_or_insert_with(|| Box::new(begin()))
+                &**known.get_or_insert_with(begin)
             }
         };
         let (measure, ends, simd) = (measures.0, asked.ends_of(instruction), self.program.simd);

@@ -308,3 +308,39 @@ pub(super) fn each_lane(mut lanes: u64, mut f: impl FnMut(usize)) {
         f(lane);
     }
 }
+
+/// The number of samples, from the first, up to the one with which their optical depths exceed
+/// `left`.
+#[inline(always)]
+pub(super) fn samples_within(depths: &[f32; SLAB_SAMPLES], left: f32) -> usize {
+    // The order in which they are added changes the sum by far less than a thousandth.
+    let mut lanes = [0.0; 8];
+    for eight in depths.as_chunks::<8>().0 {
+        for (lane, depth) in lanes.iter_mut().zip(eight) {
+            *lane += depth;
+        }
+    }
+    if lanes.iter().sum::<f32>() * 1.001 < left {
+        return SLAB_SAMPLES;
+    }
+    let mut sum = 0.0;
+    let over = depths.iter().position(|depth| {
+        sum += depth;
+        sum > left
+    });
+    over.map_or(SLAB_SAMPLES, |j| j + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_end_with_the_one_that_exceeds_what_is_left() {
+        let depths: [f32; SLAB_SAMPLES] = std::array::from_fn(|j| if j % 2 == 1 { 1.0 } else { 0.0 });
+        assert_eq!(samples_within(&depths, 0.5), 2);
+        assert_eq!(samples_within(&depths, 1.0), 4);
+        assert_eq!(samples_within(&depths, 16.0), SLAB_SAMPLES);
+        assert_eq!(samples_within(&depths, f32::INFINITY), SLAB_SAMPLES);
+    }
+}

@@ -166,6 +166,8 @@ impl CompiledTransfer {
     }
 
     /// Applies the function to a block. Samples whose opacity is 0 stay as they are.
+    // Not inlined: its rows would be part of the stack of every instruction of every slab.
+    #[inline(never)]
     pub(super) fn apply(&self, block: &mut NodeSamples, wants_color: bool) {
         each_lane(block.touched, |lane| {
             for j in 0..SLAB_SAMPLES {

@@ -2,8 +2,8 @@
 //!
 //! [`run`] gives the overview. In order, records are
 //! - read and checked (`ingest`);
-//! - given radii, if they have none (`spacing`), and merged where they are equal, if that is many
-//!   of them (`copies`);
+//! - given radii, if they have none (`spacing`);
+//! - merged where they are equal, if that is many of them (`copies`);
 //! - sorted into file order, in buckets that fit in memory (`partition`);
 //! - turned into runs and nodes (`subtree`), and these laid out in pages (`assemble`).
 //!

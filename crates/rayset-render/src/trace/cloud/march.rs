@@ -90,9 +90,9 @@ pub(in crate::trace) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// Where rays end in a cloud of this shading, if its opacity says so without much work.
+    /// Where rays end in a cloud of this shading at the latest, by its densities.
     fn ray_ends(&self, shading: &CloudShading) -> Option<RayEnds<'a>> {
-        let absorption = shading.least_absorption()?;
+        let absorption = shading.least_absorption?;
         self.ends.map(|ends| RayEnds { depth: &ends.depth, absorption })
     }
 }
@@ -175,7 +175,8 @@ impl CloudMarch {
         field.clear();
         let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
         self.gather(volume, request, lanes, &splatter, &mut scratch.batch, counts, field)?;
-        volume.shading.transfer(field, measure, required, simd, out);
+        let ends = request.ends.filter(|_| measure == Measure::OpticalDepth).map(|ends| &ends.depth);
+        volume.shading.transfer(field, (measure, required, simd), ends, out);
         Ok(())
     }
 

@@ -1,8 +1,9 @@
 //! Clouds as volume objects: where each is (`placement`), the octree ahead of a packet (`frontier`,
-//! for the rays in `live_rays`), the march of a packet through it (`march`), and what its field
-//! looks like (`shading`).
+//! for the rays in `live_rays`), the march of a packet through it (`march`), what its field looks
+//! like (`shading`), and how little of a ray that may leave (`least_absorption`).
 
 mod frontier;
+mod least_absorption;
 mod live_rays;
 mod march;
 mod nodes;

@@ -3,15 +3,17 @@
 
 use std::sync::Arc;
 
+use super::least_absorption::least_absorption;
 use crate::field::{
-    AttributeColumns, Channels, FieldSamples, Kernel, LeastAbsorption, RunDecoder, SLAB_SAMPLES, SampleRow,
-    SimdLevel, dispatch,
+    AttributeColumns, Channels, FieldSamples, Kernel, LANES, LeastAbsorption, RunDecoder, SLAB_SAMPLES,
+    SampleRow, SimdLevel, dispatch,
 };
 use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule};
 use crate::trace::knots::Curve;
 use crate::trace::math::{absorbed, ln};
 use crate::trace::node_samples::{
     MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, each_lane, normalize, numbers,
+    samples_within,
 };
 use crate::trace::transfer::ColorTable;
 use rayset_base::bytes::list_bytes;
@@ -50,6 +52,8 @@ pub(in crate::trace) struct CloudShading {
     pub(in crate::trace) opacity: OpacityRule,
     /// The curve of the opacity, if it is one.
     curve: Option<Curve>,
+    /// How much samples absorb at least, per unit distance, if that is anything.
+    pub(super) least_absorption: Option<LeastAbsorption>,
     pub(in crate::trace) unit_distance: f64,
     pub(in crate::trace) material: [f32; MATERIAL],
     pub(in crate::trace) decoder: RunDecoder,
@@ -107,6 +111,7 @@ impl CloudShading {
                 OpacityRule::Curve(points) => Some(Curve::new(points)),
                 OpacityRule::Clamp | OpacityRule::Extinction(_) => None,
             },
+            least_absorption: least_absorption(&object.transfer.opacity, unit_distance),
             unit_distance,
             material,
             decoder: RunDecoder::new(header, object.kernel, object.normalised, AttributeColumns::default()),
@@ -153,13 +158,13 @@ impl CloudShading {
         }
     }
 
-    /// Converts the field to opacity, colour and shading vector.
+    /// Converts the field to opacity, colour and shading vector. Of samples behind the optical
+    /// depth in `ends` at which their ray ends, what follows from the opacity may be left out.
     pub(in crate::trace) fn transfer(
         &self,
         field: &FieldSamples,
-        measure: Measure,
-        required: RequiredOutputs,
-        simd: SimdLevel,
+        (measure, required, simd): (Measure, RequiredOutputs, SimdLevel),
+        ends: Option<&[f32; LANES]>,
         out: &mut NodeSamples,
     ) {
         out.touched = field.touched;
@@ -169,7 +174,8 @@ impl CloudShading {
         }
         each_lane(field.touched, |lane| {
             if required.color {
-                self.fill_color(field, lane, out);
+                let seen = |ends: &[f32; LANES]| samples_within(&out.opacity[lane].0, ends[lane]);
+                self.fill_color(field, lane, ends.map_or(SLAB_SAMPLES, seen), out);
             }
             for number in numbers(required.attributes) {
                 self.fill_attribute(field, lane, number, out);
@@ -183,20 +189,6 @@ impl CloudShading {
                 }
             }
         });
-    }
-
-    /// How much samples absorb at least, per unit distance; `None` for curves.
-    pub(in crate::trace) fn least_absorption(&self) -> Option<LeastAbsorption> {
-        let (most, full) = (MAX_OPTICAL_DEPTH, MAX_OPACITY as f32);
-        match self.opacity {
-            OpacityRule::Extinction(kappa) => {
-                let per_density = (kappa * self.unit_distance) as f32;
-                Some(LeastAbsorption { per_density, most, full: f32::INFINITY })
-            }
-            // −ln(1 − D) is more than D.
-            OpacityRule::Clamp => Some(LeastAbsorption { per_density: 1.0, most, full }),
-            OpacityRule::Curve(_) => None,
-        }
     }
 
     fn fill_opacity(&self, field: &FieldSamples, measure: Measure, simd: SimdLevel, out: &mut NodeSamples) {
@@ -230,7 +222,8 @@ impl CloudShading {
         }
     }
 
-    fn fill_color(&self, field: &FieldSamples, lane: usize, out: &mut NodeSamples) {
+    /// Fills the colours of a lane; of its first `seen` samples those that are mapped.
+    fn fill_color(&self, field: &FieldSamples, lane: usize, seen: usize, out: &mut NodeSamples) {
         let density = &field.density[lane].0;
         match &self.color {
             Color::Uniform(color) => {
@@ -245,9 +238,11 @@ impl CloudShading {
             }
             Color::Map { table, carried, .. } => {
                 let values = carried.map_or(*density, |carried| self.value(field, lane, carried).0);
-                for j in (0..SLAB_SAMPLES).filter(|&j| density[j] > 0.0) {
-                    let color = table.color(values[j]);
-                    for (rows, v) in out.color.iter_mut().zip(color) {
+                for j in 0..seen {
+                    if !(out.opacity[lane].0[j] > 0.0) {
+                        continue;
+                    }
+                    for (rows, v) in out.color.iter_mut().zip(table.color(values[j])) {
                         rows[lane].0[j] = v;
                     }
                 }

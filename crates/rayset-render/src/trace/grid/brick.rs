@@ -12,7 +12,7 @@ use super::places::{GROUPS, GROUPS_OF_LANE, OfSamples, Places};
 use super::spans::Segment;
 use super::visible::Blocks;
 use crate::field::{BLOCK_SAMPLES, LANES, SLAB_SAMPLES, SampleRow};
-use crate::trace::node_samples::{NodeSamples, numbers};
+use crate::trace::node_samples::{NodeSamples, numbers, samples_within};
 
 /// The samples of a slab in one brick.
 pub(super) struct BrickSamples<'a> {
@@ -325,40 +325,4 @@ fn replace(numbers: &mut [f32; BLOCK_SAMPLES], with: &[f32; BLOCK_SAMPLES], bits
 #[inline(always)]
 fn below(number: usize) -> u32 {
     if number >= SLAB_SAMPLES { u32::MAX } else { (1 << number) - 1 }
-}
-
-/// The number of samples, from the first, up to the one with which their optical depths exceed
-/// `left`.
-#[inline(always)]
-fn samples_within(depths: &[f32; SLAB_SAMPLES], left: f32) -> usize {
-    // The order in which they are added changes the sum by far less than a thousandth.
-    let mut lanes = [0.0; 8];
-    for eight in depths.as_chunks::<8>().0 {
-        for (lane, depth) in lanes.iter_mut().zip(eight) {
-            *lane += depth;
-        }
-    }
-    if lanes.iter().sum::<f32>() * 1.001 < left {
-        return SLAB_SAMPLES;
-    }
-    let mut sum = 0.0;
-    let over = depths.iter().position(|depth| {
-        sum += depth;
-        sum > left
-    });
-    over.map_or(SLAB_SAMPLES, |j| j + 1)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn samples_end_with_the_one_that_exceeds_what_is_left() {
-        let depths: [f32; SLAB_SAMPLES] = std::array::from_fn(|j| if j % 2 == 1 { 1.0 } else { 0.0 });
-        assert_eq!(samples_within(&depths, 0.5), 2);
-        assert_eq!(samples_within(&depths, 1.0), 4);
-        assert_eq!(samples_within(&depths, 16.0), SLAB_SAMPLES);
-        assert_eq!(samples_within(&depths, f32::INFINITY), SLAB_SAMPLES);
-    }
 }

@@ -193,6 +193,8 @@ impl GridVolume {
     }
 
     /// Fills the lanes that meet anything visible.
+    // Not inlined: its rows would be part of the stack of every instruction of every slab.
+    #[inline(never)]
     pub(in crate::trace) fn sample(
         &self,
         request: &GridRequest<'_>,

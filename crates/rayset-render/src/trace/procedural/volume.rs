@@ -130,6 +130,8 @@ impl ProceduralVolume {
     }
 
     /// Fills the lanes that meet the field.
+    // Not inlined: its rows would be part of the stack of every instruction of every slab.
+    #[inline(never)]
     pub(in crate::trace) fn sample(&self, asked: &ProceduralRequest<'_>, out: &mut NodeSamples) {
         out.touched = 0;
         let field: &dyn Any = &*self.field;
