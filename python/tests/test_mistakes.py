@@ -239,6 +239,8 @@ def said(name: str) -> str:
         words = words.replace(os.path.realpath(tempfile.gettempdir()), "/tmp")
         words = re.sub(r"memory:\d+", "memory:N", words)
         words = re.sub(r"0x[0-9a-f]+", "0x…", words)
+        # Bytes of memory, which are others with every table of the program: two megabytes and some.
+        words = re.sub(r"needs at least 2\d{6}\b", "needs at least 2…", words)
         # Python 3.13 has ideas of its own.
         words = re.sub(r"\. Did you mean '\w+'\?$", "", words)
         return words.replace("\n", " ")

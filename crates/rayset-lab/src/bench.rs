@@ -10,6 +10,7 @@ use rayset::SimdLevel;
 use rayset::points::Workload;
 
 use crate::bare::{BARE_SAMPLES, bare_loop};
+use crate::convergence;
 use crate::features::{self, Cost};
 use crate::pictures;
 use crate::scenes;
@@ -28,7 +29,7 @@ use rayset_terminal::report;
 #[derive(Args)]
 pub struct BenchArgs {
     /// sphere-N or cube-N; the four standard ones by default. With --scenes, words that the names
-    /// of scenes contain; with --pictures, files
+    /// of scenes contain; with --pictures and --convergence, files
     workloads: Vec<String>,
     /// Every sample is taken
     #[arg(long)]
@@ -58,6 +59,10 @@ pub struct BenchArgs {
     /// Measure another rayset's pictures in turns with this one's, as that of the commit before
     #[arg(long, value_name = "PROGRAM", requires = "pictures")]
     beside: Option<PathBuf>,
+    /// Instead, how far pictures of these inputs are from those with an eighth of the step;
+    /// without files, of the scenes of --scenes
+    #[arg(long, group = "whole", conflicts_with_all = ["translucent", "memory", "out_of_core", "features", "threads", "repeat", "instructions"])]
+    convergence: bool,
     /// Stop a picture's command after so many seconds
     #[arg(long, value_name = "SECONDS", requires = "pictures", default_value_t = 120)]
     limit: u64,
@@ -93,6 +98,8 @@ struct Report {
     scenes: Vec<scenes::Measured>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pictures: Vec<pictures::Measured>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    convergence: Vec<convergence::Measured>,
 }
 
 /// Measures, and reports.
@@ -122,7 +129,11 @@ fn workloads(args: &BenchArgs) -> Result<Vec<Workload>> {
 fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
     let bare = bare_evaluations_per_second(args.simd);
     let (mut results, mut features, mut scenes) = (Vec::new(), Vec::new(), Vec::new());
-    let mut pictures = Vec::new();
+    let (mut pictures, mut convergence) = (Vec::new(), Vec::new());
+    if args.convergence {
+        convergence =
+            convergence::measure(&convergence::Options { folder, inputs: &args.workloads, simd: args.simd })?;
+    }
     if args.pictures {
         pictures = pictures::measure(&pictures::Options {
             folder,
@@ -142,7 +153,8 @@ fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
             instructions: args.instructions,
         })?;
     }
-    for workload in &if args.scenes || args.pictures { Vec::new() } else { workloads(args)? } {
+    let whole = args.scenes || args.pictures || args.convergence;
+    for workload in &if whole { Vec::new() } else { workloads(args)? } {
         let prepared = Prepared::new(workload, folder, args.threads)?;
         if args.features {
             let session = Session::builder().threads(args.threads).simd(args.simd);
@@ -173,6 +185,7 @@ fn measure(args: &BenchArgs, folder: &std::path::Path) -> Result<Report> {
         features,
         scenes,
         pictures,
+        convergence,
     })
 }
 
@@ -222,6 +235,10 @@ fn describe(report: &Report) -> Result<()> {
     report::say("");
     if !report.scenes.is_empty() {
         scenes::describe(&report.scenes);
+        return Ok(());
+    }
+    if !report.convergence.is_empty() {
+        convergence::describe(&report.convergence);
         return Ok(());
     }
     if !report.pictures.is_empty() {

@@ -5,6 +5,7 @@
 
 pub mod bare;
 pub mod bench;
+mod convergence;
 mod features;
 pub mod figure;
 mod pictures;

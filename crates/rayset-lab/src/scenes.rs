@@ -72,7 +72,7 @@ pub(crate) struct Measured {
 /// Prepares the scenes and renders each of them on one thread and on two, in turns, after one round
 /// that does not count.
 pub(crate) fn measure(options: &Options<'_>) -> Result<Vec<Measured>> {
-    let scenes = prepare(options)?;
+    let scenes = prepare(options.folder, options.only)?;
     let mut results = Vec::new();
     for (name, path) in &scenes {
         let file = SceneFile::load(path)?;
@@ -176,9 +176,9 @@ pub(crate) fn million_instructions(folder: &Path, command: &Command) -> Result<u
 }
 
 /// Writes scenes and data into a folder; returns the scenes to measure, each with its name.
-fn prepare(options: &Options<'_>) -> Result<Vec<(String, PathBuf)>> {
-    let folder = options.folder;
-    let wanted = |name: &str| options.only.is_empty() || options.only.iter().any(|word| name.contains(word));
+/// Only scenes whose names contain one of some words; all if there are none.
+pub(crate) fn prepare(folder: &Path, only: &[String]) -> Result<Vec<(String, PathBuf)>> {
+    let wanted = |name: &str| only.is_empty() || only.iter().any(|word| name.contains(word));
     crate::figure::prepare(folder)?;
     let mut scenes = Vec::new();
     let mut add = |name: &str, text: &str| -> Result<()> {

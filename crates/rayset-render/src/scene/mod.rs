@@ -158,10 +158,11 @@ impl Scene {
 pub enum Step {
     /// The same on all rays, world space.
     Fixed(f64),
-    /// For each ray the largest `fraction · r_max · 2^k` with integer k that is at most `fraction`
-    /// of the smallest radius whose bounds the ray meets.
+    /// Different from place to place along a ray: `fraction` of the largest detail of the scene
+    /// times the largest 2^k, k ≤ 0, that is at most `fraction` of the finest detail there
+    /// (`docs/rendering.md`, samples of a ray).
     Automatic {
-        /// Step as a fraction of that radius.
+        /// Step as a fraction of that detail: of a radius, of two voxels.
         fraction: f64,
     },
 }

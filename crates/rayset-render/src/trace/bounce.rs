@@ -8,9 +8,7 @@
 
 use super::composite::RayState;
 use super::inside::{Inside, Samples};
-use super::node_samples::{
-    Constants, MATERIAL, NodeSamples, REFLECTANCE, REFRACTIVE_INDEX, STEPS_TO_BOUNDARY, each_lane,
-};
+use super::node_samples::{Constants, MATERIAL, NodeSamples, REFLECTANCE, REFRACTIVE_INDEX, each_lane};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, Slab};
 use crate::scene::Footprint;
 use rayset_base::geometry::{DVec3, Ray};
@@ -53,8 +51,9 @@ impl ScatterKinds {
 pub(super) struct Bounces {
     pub(super) turns: ScatterKinds,
     pub(super) max_depth: u32,
-    /// Samples within this distance behind a boundary reflect at the boundary.
+    /// Samples within this distance or so many steps behind a boundary reflect at the boundary.
     pub(super) reach_world: f64,
+    pub(super) boundary_steps: f64,
 }
 
 /// A ray in the tree of a pixel.
@@ -293,7 +292,7 @@ impl RefractionStates {
         };
         // A sample within reach of the boundary reflects at the boundary.
         let depth = -f64::from(node.boundary[lane].0[j]);
-        let reach = self.bounces.reach_world.max(STEPS_TO_BOUNDARY * packet.step_world());
+        let reach = self.bounces.reach_world.max(self.bounces.boundary_steps * packet.step_world());
         let lift = if depth > 0.0 && depth <= reach { depth } else { 0.0 };
         let none = Mirror {
             weight: 0.0,

@@ -96,6 +96,7 @@ impl Compiler<'_> {
         self.instructions.push(Instruction {
             action,
             bounds,
+            object_bounds: bounds,
             required: RequiredOutputs::default(),
             made: RequiredOutputs::default(),
             measures: (Measure::Opacity, Measure::Opacity),

@@ -11,10 +11,6 @@ use rayset_base::geometry::DVec3;
 
 /// The largest optical depth per unit distance: −ln(1 − MAX_OPACITY).
 pub(super) const MAX_OPTICAL_DEPTH: f32 = 8.317_766;
-/// A sample within this many steps behind a boundary is lit at the boundary: it stands for the part
-/// of its ray that begins there, and would otherwise shadow itself to a degree that depends on how
-/// the lattice of samples happens to lie.
-pub(super) const STEPS_TO_BOUNDARY: f64 = 2.0;
 pub(super) const ZERO: SampleRow = SampleRow([0.0; SLAB_SAMPLES]);
 pub(super) const FAR: SampleRow = SampleRow([f32::INFINITY; SLAB_SAMPLES]);
 /// Number of values of a material.

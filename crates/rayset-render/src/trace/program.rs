@@ -36,6 +36,9 @@ pub(super) struct Instruction<P = Arc<Object>> {
     pub(super) action: Action<P>,
     /// Nothing outside of these is ever evaluated; world space.
     pub(super) bounds: Aabb,
+    /// Those of the object itself, whatever is made of it: steps depend on these. Shading vectors
+    /// are evaluated around an object that is subtracted, too, so `bounds` may be wider.
+    pub(super) object_bounds: Aabb,
     pub(super) required: RequiredOutputs,
     /// What its action makes of this. The transfer functions make the rest.
     pub(super) made: RequiredOutputs,
@@ -100,7 +103,7 @@ impl Program<Unopened> {
 
 impl Instruction<Unopened> {
     fn open(self, paged: &PagedFiles) -> Result<Instruction, RenderError> {
-        let Self { action, bounds, required, made, measures, transfers, uses, color } = self;
+        let Self { action, bounds, object_bounds, required, made, measures, transfers, uses, color } = self;
         let action = match action {
             Action::Cloud(volume) => {
                 let path = volume.placement.cloud().path().to_owned();
@@ -113,7 +116,7 @@ impl Instruction<Unopened> {
             Action::Procedural(volume) => Action::Procedural(volume),
             Action::Operator(operator, children) => Action::Operator(operator, children),
         };
-        Ok(Instruction { action, bounds, required, made, measures, transfers, uses, color })
+        Ok(Instruction { action, bounds, object_bounds, required, made, measures, transfers, uses, color })
     }
 }
 

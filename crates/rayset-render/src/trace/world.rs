@@ -44,13 +44,14 @@ impl World {
             stop_transmittance: f64::from(settings.stop_transmittance),
             simd,
         };
+        let steps = StepRule::new(&program, settings)?;
         let bounces = Bounces {
             turns: program.turns(),
             max_depth: settings.max_depth,
             reach_world: scene.unit_distance,
+            boundary_steps: steps.boundary_steps(),
         };
         let turn_rays = bounces.turns.any() && bounces.max_depth > 0 && scene.lighting != Lighting::Unlit;
-        let steps = StepRule::new(&program, settings)?;
         Ok(Self {
             shadows: ShadowWorld::compile(scene, settings, simd, paged, &steps, absorption)?,
             bounces: turn_rays.then_some(bounces),

@@ -9,7 +9,7 @@ use rayset::scene::{
     Camera, ColorMap, Form, Light, LightKind, Material, Node, Operator, Palette, Pattern, Projection,
     RenderSettings, Scene, Shape, Solid, Step,
 };
-use rayset::trace::reference::ReferenceRenderer;
+use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 use rayset::trace::{ExecSettings, render_once};
 
 use crate::common::{paged, settings};
@@ -64,7 +64,8 @@ fn compare(
             let mut red = vec![("fast", f64::from(found[(y * SIDE + x) as usize][0]))];
             // The reference renderer is slow: some rows of it.
             if y % 8 == 3 {
-                let exact = reference.pixel(camera, &fixed(), STEP, x, y).expect("a camera");
+                let exact =
+                    reference.pixel(camera, &fixed(), &ReferenceSteps::same(STEP), x, y).expect("a camera");
                 red.push(("reference", exact[0]));
             }
             for (renderer, red) in red {

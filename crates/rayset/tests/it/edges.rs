@@ -10,7 +10,7 @@ use rayset::octree::verify::Depth;
 use rayset::points::ArraySource;
 use rayset::scene::Camera;
 use rayset::trace::ExecSettings;
-use rayset::trace::reference::ReferenceRenderer;
+use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 
 use crate::common::{
     Random, build_at, camera, folder, look, paged, picture, plain_picture, scene, scene_of, settings,
@@ -162,7 +162,9 @@ fn millimetres_at_ten_million_metres_keep_their_shape() {
         let (mut covered, mut wrong) = (0, 0);
         for y in 0..64 {
             for x in 0..64 {
-                let exact = reference_renderer.pixel(&eye, &size, 0.001, x, y).expect("a camera");
+                let exact = reference_renderer
+                    .pixel(&eye, &size, &ReferenceSteps::same(0.001), x, y)
+                    .expect("a camera");
                 covered += usize::from(exact[3] > 0.01);
                 wrong +=
                     usize::from((exact[3] - f64::from(found[(y * 64 + x) as usize][3])).abs() > 1.0 / 1024.0);
@@ -195,7 +197,9 @@ fn rays_along_the_axes_and_from_inside_are_like_any_other() {
             let reference_renderer = ReferenceRenderer::load(&scene).expect("it reads");
             let step = f64::from(cloud.header().radius.max()) * 0.25;
             for (x, y) in [(3, 4), (12, 12), (20, 7), (11, 23)] {
-                let exact = reference_renderer.pixel(&view, &size, step, x, y).expect("a camera");
+                let exact = reference_renderer
+                    .pixel(&view, &size, &ReferenceSteps::same(step), x, y)
+                    .expect("a camera");
                 let error = (exact[3] - f64::from(found[(y * 24 + x) as usize][3])).abs();
                 assert!(error < 1.0 / 1024.0, "{eye} to {target}: {error}");
             }

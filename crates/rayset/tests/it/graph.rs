@@ -11,7 +11,7 @@ use rayset::scene::{
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::predict::NoPredictor;
-use rayset::trace::reference::ReferenceRenderer;
+use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 
 use rayset::points::{ArraySource, Workload};
 
@@ -63,7 +63,9 @@ pub(crate) fn check(what: &str, scene: &Scene, wrong_allowed: usize) {
     let (mut covered, mut wrong) = (0, 0);
     for y in 0..SIDE {
         for x in 0..SIDE {
-            let exact = reference_renderer.pixel(&camera(), &settings, STEP, x, y).expect("a camera");
+            let exact = reference_renderer
+                .pixel(&camera(), &settings, &ReferenceSteps::same(STEP), x, y)
+                .expect("a camera");
             let pixel = found[(y * SIDE + x) as usize];
             covered += usize::from(exact[3] > 0.05);
             let worst = (0..4).map(|c| (f64::from(pixel[c]) - exact[c]).abs()).fold(0.0, f64::max);

@@ -11,7 +11,7 @@ use rayset::scene::{
     Scene, Shape, Step, TransferFunction,
 };
 use rayset::trace::ExecSettings;
-use rayset::trace::reference::ReferenceRenderer;
+use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 use rayset::volumes::RawLayout;
 
 use crate::common::{Random, folder, paged, picture, settings};
@@ -92,7 +92,9 @@ fn compare(grid: &Arc<Grid>, camera: &Camera, what: &str) -> usize {
         let reference_renderer = ReferenceRenderer::load(&scene).expect("it loads");
         for (at, pixel) in found.iter().enumerate() {
             let (x, y) = (at as u32 % SIDE.0, at as u32 / SIDE.0);
-            let exact = reference_renderer.pixel(camera, &settings, STEP, x, y).expect("a camera");
+            let exact = reference_renderer
+                .pixel(camera, &settings, &ReferenceSteps::same(STEP), x, y)
+                .expect("a camera");
             covered += usize::from(exact[3] > 0.05);
             for channel in 0..4 {
                 let difference = (f64::from(pixel[channel]) - exact[channel]).abs();

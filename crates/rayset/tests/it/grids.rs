@@ -12,7 +12,7 @@ use rayset::scene::{
     Scene, Shape, Solid, Step,
 };
 use rayset::trace::ExecSettings;
-use rayset::trace::reference::ReferenceRenderer;
+use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 use rayset::volumes::{self, RawLayout};
 
 use crate::common::{Random, bits, camera, folder, paged, picture, plain_picture, real_data, settings};
@@ -59,7 +59,7 @@ pub(crate) fn grid(folder: &Path, kind: VoxelKind) -> Arc<Grid> {
     Arc::new(Grid::open(&path).expect("it opens"))
 }
 
-fn object(grid: &Arc<Grid>, shift: f64) -> Node {
+pub(crate) fn object(grid: &Arc<Grid>, shift: f64) -> Node {
     let opacity = OpacityRule::Curve(vec![(40.0 + shift, 0.0), (120.0 + shift, 0.4), (200.0 + shift, 0.9)]);
     let map = ColorMap::named("viridis".parse().expect("a map"), (40.0 + shift, 200.0 + shift));
     let transfer =
@@ -121,7 +121,9 @@ fn grids_of_every_kind_of_voxel_agree_with_the_reference_renderer() {
             let (mut covered, mut wrong) = (0, 0);
             for (at, pixel) in found.iter().enumerate() {
                 let (x, y) = (at as u32 % SIDE, at as u32 / SIDE);
-                let exact = reference_renderer.pixel(&camera(), &settings, 0.02, x, y).expect("a camera");
+                let exact = reference_renderer
+                    .pixel(&camera(), &settings, &ReferenceSteps::same(0.02), x, y)
+                    .expect("a camera");
                 covered += usize::from(exact[3] > 0.1);
                 wrong +=
                     usize::from((0..4).any(|c| !((f64::from(pixel[c]) - exact[c]).abs() <= 1.0 / 1024.0)));

@@ -12,7 +12,7 @@ use rayset::scene::{
     ColorMap, ColorRule, Form, GridObject, Lighting, MapInput, Node, OpacityRule, Operator, Palette,
     RenderSettings, Scene, Shape, Solid, Step, TransferFunction,
 };
-use rayset::trace::reference::ReferenceRenderer;
+use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 use rayset::volumes::{self, RawLayout, VolumeSource};
 
 use crate::common::{camera, folder, plain_picture, settings};
@@ -119,7 +119,9 @@ fn labels_agree_with_the_reference_renderer_alone_and_cut_open() {
             let (mut covered, mut wrong) = (0, Vec::new());
             for (at, pixel) in found.iter().enumerate() {
                 let (x, y) = (at as u32 % SIDE, at as u32 / SIDE);
-                let exact = reference.pixel(&camera(), &settings, 0.02, x, y).expect("a camera");
+                let exact = reference
+                    .pixel(&camera(), &settings, &ReferenceSteps::same(0.02), x, y)
+                    .expect("a camera");
                 covered += usize::from(exact[3] > 0.1);
                 if (0..4).any(|c| !((f64::from(pixel[c]) - exact[c]).abs() <= 1.0 / 1024.0)) {
                     wrong.push((x, y, *pixel, exact));

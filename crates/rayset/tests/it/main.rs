@@ -66,6 +66,7 @@ mod skips;
 mod snapshots;
 mod splats;
 mod steps;
+mod steps_by_place;
 mod tables;
 mod varying_pixels;
 mod vdb;

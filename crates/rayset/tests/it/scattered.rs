@@ -1,10 +1,9 @@
 //! Points far apart, far smaller than others, or in one place: what rays do not meet costs them
-//! nothing, and the picture is that of the rule that `docs/scene.md` states.
+//! nothing, and execution settings change no bit. (`steps_by_place` has the steps of their rays.)
 
 use std::sync::Arc;
 
 use rayset::field::Kernel;
-use rayset::geometry::{DVec3, Ray};
 use rayset::octree::Cloud;
 use rayset::octree::build::BuildOptions;
 use rayset::octree::node::NodePage;
@@ -12,7 +11,7 @@ use rayset::paged_file::HasPages;
 use rayset::points::ArraySource;
 use rayset::scene::{OpacityRule, RenderSettings, Scene, Step};
 use rayset::trace::memory::least_pages;
-use rayset::trace::reference::ReferenceRenderer;
+use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 use rayset::trace::{ExecSettings, RenderCounts, render_once};
 
 use crate::common::{
@@ -92,55 +91,6 @@ fn scattered_points_make_the_same_picture_for_every_tile_slab_budget_and_thread_
     }
 }
 
-/// The ray through the middle of a pixel of 40 × 40, from the camera of these tests.
-fn ray_of(x: u32, y: u32) -> Ray {
-    let across = |pixel: u32| ((f64::from(pixel) + 0.5) / 20.0 - 1.0) * 22.5_f64.to_radians().tan();
-    Ray { origin: DVec3::new(0.0, 0.0, 3.0), direction: DVec3::new(across(x), -across(y), -1.0).normalize() }
-}
-
-/// The step of a ray through scattered points, by the rule of the documents.
-fn step_of(ray: &Ray, points: &[(DVec3, f64)], largest: f64) -> f64 {
-    let met = points.iter().filter(|(position, radius)| {
-        let to = *position - ray.origin;
-        (to - ray.direction * to.dot(ray.direction)).length() < *radius
-    });
-    let finest = met.map(|(_, radius)| *radius).fold(largest, f64::min);
-    0.25 * largest * 2_f64.powf((finest / largest).log2().floor())
-}
-
-#[test]
-fn a_ray_through_scattered_points_steps_by_the_finest_that_it_passes_through() {
-    let folder = folder();
-    let given = cube(3000, 2e-4, 0.2, 5);
-    let cloud = cloud(folder.path(), given);
-    let mut stored = Vec::new();
-    let header = cloud.header();
-    (cloud.for_each_run(|_, run| {
-        let radii = run.radii(header).expect("radii are stored");
-        stored.extend(run.positions(header.root_cell()).into_iter().zip(radii.map(f64::from)));
-    }))
-    .expect("the cloud reads");
-    let largest = f64::from(header.radius.max());
-    let mut object = look(&cloud, Kernel::Triweight);
-    object.transfer.opacity = OpacityRule::Extinction(0.5 / largest);
-    let scene = scene_of(object, false);
-    let settings = settings(40, 40);
-    let fast = plain_picture(&scene, &settings);
-    let reference_renderer = ReferenceRenderer::load(&scene).expect("it reads");
-    let (mut wrong, mut fine) = (0, 0);
-    for pixel in (0..1600).step_by(7) {
-        let (x, y) = (pixel % 40, pixel / 40);
-        let step = step_of(&ray_of(x, y), &stored, largest);
-        fine += usize::from(step < 0.05 * largest);
-        let exact = reference_renderer.pixel(&camera(), &settings, step, x, y).expect("a camera");
-        let found = fast[pixel as usize];
-        let worst = (0..4).map(|c| (f64::from(found[c]) - exact[c]).abs()).fold(0.0, f64::max);
-        wrong += usize::from(worst > 1.0 / 1024.0);
-    }
-    assert!(fine > 10, "only {fine} rays are fine");
-    assert!(wrong <= 2, "{wrong} pixels beyond 1/1024");
-}
-
 #[test]
 fn more_wide_points_than_a_node_keeps_runs_of_by_themselves_are_all_seen() {
     // More than 512 runs of the root's own, at two ends of the cloud: no run may be taken to lie
@@ -176,7 +126,9 @@ fn more_wide_points_than_a_node_keeps_runs_of_by_themselves_are_all_seen() {
     let fast = plain_picture(&scene, &settings);
     let reference_renderer = ReferenceRenderer::load(&scene).expect("it reads");
     for (x, y) in [(12, 12), (8, 12), (12, 17), (6, 6), (17, 9)] {
-        let exact = reference_renderer.pixel(&camera(), &settings, step, x, y).expect("a camera");
+        let exact = reference_renderer
+            .pixel(&camera(), &settings, &ReferenceSteps::same(step), x, y)
+            .expect("a camera");
         let found = fast[(y * 24 + x) as usize];
         assert!(exact[3] > 0.05, "pixel {x}, {y} shows something");
         for c in 0..4 {

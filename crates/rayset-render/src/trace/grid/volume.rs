@@ -246,15 +246,22 @@ impl GridVolume {
         if let Some(blocks) = known.get(key) {
             return *blocks;
         }
+        let blocks = self.find_blocks(request, voxels);
+        known.insert(key, blocks);
+        blocks
+    }
+
+    /// The blocks of a brick that show anything. Not inlined: what it needs of the stack would be
+    /// taken for every slab.
+    #[inline(never)]
+    fn find_blocks(&self, request: &GridRequest<'_>, voxels: &[u8]) -> Blocks {
         let GridField { values, opacities, .. } = &self.field;
         let (header, shape) = (self.object.grid.header(), self.field.placement.bricks.shape);
-        let blocks = with_voxel!(header.kind, V => if header.has_cubes() {
+        with_voxel!(header.kind, V => if header.has_cubes() {
             dispatch!(request.simd.level(), _simd => Blocks::of::<V>(voxels, values, opacities))
         } else {
             Blocks::of_cuboid::<V>(shape, voxels, values, opacities)
-        });
-        known.insert(key, blocks);
-        blocks
+        })
     }
 
     /// Whether all bricks that the samples of a slab lie in are known to show nothing.

@@ -1,19 +1,21 @@
 //! The reference renderer: the same rays, samples, operators and lighting as the ray tracer, one
 //! sample at a time, over brute-force fields in `f64`. It is slow by design and shares no code with
-//! the ray tracer except the scene description and the closed forms of procedural fields. The step
-//! is a parameter. The fields of clouds may be supplied from outside; the renderer is then the
-//! discrete ray tracer with which samples of another engine are compared.
+//! the ray tracer except the scene description and the closed forms of procedural fields. The steps
+//! are a parameter ([`ReferenceSteps`]). The fields of clouds may be supplied from outside; the
+//! renderer is then the discrete ray tracer with which samples of another engine are compared.
 
 mod grid;
 mod maps;
 mod sample;
 mod shared;
+mod steps;
 mod tree;
 
 use std::sync::Arc;
 
 use self::sample::{Sample, combine};
 use self::shared::SharedShadows;
+use self::steps::Place;
 use crate::field::AttributeColumns;
 use crate::field::reference::{ReferenceField, ReferenceSample};
 use crate::scene::{
@@ -22,6 +24,8 @@ use crate::scene::{
 };
 use rayset_base::geometry::{DAffine3, DMat3, DVec3, Ray};
 use rayset_store::container::ScanError;
+
+pub use self::steps::ReferenceSteps;
 
 /// A pixel: premultiplied colour in linear light, and opacity.
 pub type ReferencePixel = [f64; 4];
@@ -162,7 +166,7 @@ impl<'a> ReferenceRenderer<'a> {
         &self,
         camera: &Camera,
         settings: &RenderSettings,
-        step_world: f64,
+        steps: &ReferenceSteps,
         x: u32,
         y: u32,
     ) -> Result<DVec3, CameraError> {
@@ -173,7 +177,7 @@ impl<'a> ReferenceRenderer<'a> {
             settings,
             &ray,
             sample_offset,
-            step_world,
+            steps,
             (f64::INFINITY, Purpose::Opacity),
             |_, sample, share| {
                 sum += sample.normal * share;
@@ -189,13 +193,14 @@ impl<'a> ReferenceRenderer<'a> {
         settings: &RenderSettings,
         ray: &Ray,
         sample_offset: f64,
-        step: f64,
+        steps: &ReferenceSteps,
         (end, purpose): (f64, Purpose),
         mut visit: impl FnMut(DVec3, &Sample, f64),
     ) -> f64 {
         let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), (ray, purpose));
         let mut transmittance = 1.0;
-        for t in self.lattice(ray, sample_offset, step).take_while(|t| *t < end) {
+        let samples = steps.samples(ray, sample_offset, &self.scene.root.bounds());
+        for Place { t, step, .. } in samples.into_iter().take_while(|sample| sample.t < end) {
             let q = ray.at(t);
             let sample = self.sample(&root, q);
             let passed = self.passed(&sample, step);
@@ -209,15 +214,6 @@ impl<'a> ReferenceRenderer<'a> {
             }
         }
         transmittance
-    }
-
-    /// Distances of the samples of a ray that may lie within the bounds of the scene.
-    fn lattice(&self, ray: &Ray, sample_offset: f64, step: f64) -> impl Iterator<Item = f64> + use<> {
-        let (enter, exit) = self.scene.root.bounds().clip(ray).unwrap_or((0.0, -f64::INFINITY));
-        let first = ((enter / step - sample_offset).floor() - 1.0).max(0.0);
-        (0_u64..)
-            .map(move |i| (first + i as f64 + sample_offset) * step)
-            .take_while(move |t| *t <= exit + step)
     }
 
     /// Transmittance of one sample.
@@ -354,7 +350,7 @@ impl<'a> ReferenceRenderer<'a> {
         (ray, q): (&Ray, DVec3),
         sample: &Sample,
         sample_offset: f64,
-        step: f64,
+        (steps, step): (&ReferenceSteps, f64),
         shadows: &mut SharedShadows,
     ) -> [f64; 3] {
         let Lighting::Lit(lights) = &self.scene.lighting else { return sample.color };
@@ -381,9 +377,8 @@ impl<'a> ReferenceRenderer<'a> {
             let reaching = if light.throws_shadows() && shadows.are_taken {
                 shadows.reaching[number]
             } else if light.throws_shadows() && distance > 0.0 {
-                // A sample at most two steps behind a boundary is lit as if it lay on the boundary.
                 let depth = -sample.boundary;
-                let on_boundary = depth > 0.0 && depth <= 2.0 * step;
+                let on_boundary = depth > 0.0 && depth <= steps.boundary_reach(step);
                 let place = if on_boundary { q + sample.normal * depth } else { q };
                 let (toward, distance) = match light.kind {
                     LightKind::Point { position, .. } => {
@@ -393,7 +388,7 @@ impl<'a> ReferenceRenderer<'a> {
                 };
                 let from = Ray { origin: place + toward * (0.5 * step), direction: toward };
                 let end = (distance - 0.5 * step, Purpose::Shadow);
-                self.march(settings, &from, sample_offset, step, end, |_, _, _| {})
+                self.march(settings, &from, sample_offset, steps, end, |_, _, _| {})
             } else {
                 1.0
             };

@@ -1,7 +1,8 @@
 //! The tree of rays of a pixel: reflection and refraction, ray by ray and sample by sample.
 
 use super::shared::SharedShadows;
-use super::{Purpose, ReferencePixel, ReferenceRenderer};
+use super::steps::Place;
+use super::{Purpose, ReferencePixel, ReferenceRenderer, ReferenceSteps};
 use crate::scene::{Camera, CameraError, Lighting, Material, RenderSettings};
 use rayset_base::geometry::{DAffine3, DVec3, Ray};
 
@@ -29,15 +30,18 @@ impl Course {
 }
 
 /// Consecutive samples that reflect.
+#[derive(Default)]
 struct Mirror {
     weight: f64,
+    /// The step of the last of them.
+    step: f64,
     place: DVec3,
     normal: DVec3,
     color: DVec3,
 }
 
 impl ReferenceRenderer<'_> {
-    /// Renders one pixel with the same step, in world space, on all rays.
+    /// Renders one pixel.
     ///
     /// # Errors
     /// [`CameraError`] if the camera is invalid.
@@ -45,14 +49,14 @@ impl ReferenceRenderer<'_> {
         &self,
         camera: &Camera,
         settings: &RenderSettings,
-        step_world: f64,
+        steps: &ReferenceSteps,
         x: u32,
         y: u32,
     ) -> Result<ReferencePixel, CameraError> {
         let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
         let sample_offset = settings.sample_offset_of(x, y);
         let eye = Course::from_eye(ray);
-        let (color, transmittance) = self.follow(settings, &eye, sample_offset, step_world);
+        let (color, transmittance) = self.follow(settings, &eye, sample_offset, steps);
         Ok(match self.scene.background {
             Some(b) => {
                 let behind = |c: usize| color[c] + transmittance * f64::from(b[c]);
@@ -69,7 +73,7 @@ impl ReferenceRenderer<'_> {
         settings: &RenderSettings,
         course: &Course,
         sample_offset: f64,
-        step: f64,
+        steps: &ReferenceSteps,
     ) -> ([f64; 3], f64) {
         let ray = &course.ray;
         let root =
@@ -84,9 +88,11 @@ impl ReferenceRenderer<'_> {
         // reflectance.
         let mut inside = (0.0, course.normal, 0.0, 0.0);
         // One sample more after the last, in empty space.
-        let samples: Vec<f64> = self.lattice(ray, sample_offset, step).collect();
-        let beyond = samples.last().map_or(sample_offset * step, |last| last + step);
-        for t in samples.into_iter().chain([beyond]) {
+        let samples = steps.samples(ray, sample_offset, &self.scene.root.bounds());
+        let none = Place { t: -f64::INFINITY, step: steps.coarsest_world(), number: 0 };
+        let last = samples.last().copied().unwrap_or(none);
+        let beyond = Place { t: (last.t + last.step).max(0.0), ..last };
+        for Place { t, step, number } in samples.into_iter().chain([beyond]) {
             let q = ray.at(t);
             let sample = self.sample(&root, q);
             if turns {
@@ -102,11 +108,11 @@ impl ReferenceRenderer<'_> {
                 if here != before && cosine != 0.0 {
                     let way = (at.2 / cosine).min(step);
                     let t = if is_inside { (at.0 - way).max(0.0) } else { at.0 + way };
-                    light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+                    light += self.reflected(settings, course, mirror.take(), sample_offset, steps);
                     let go_on = |direction, index, weight| {
                         let ray = Ray { origin: ray.at(t), direction };
                         let next = Course { ray, weight, index, normal: at.1, depth: course.depth + 1 };
-                        self.follow(settings, &next, sample_offset, step)
+                        self.follow(settings, &next, sample_offset, steps)
                     };
                     let mut weight = transmittance;
                     let back = ray.direction.reflect(at.1);
@@ -126,39 +132,38 @@ impl ReferenceRenderer<'_> {
             }
             let passed = self.passed(&sample, step);
             if passed >= 1.0 {
-                light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+                light += self.reflected(settings, course, mirror.take(), sample_offset, steps);
                 continue;
             }
             let share = transmittance * (1.0 - passed);
-            shadows.comes_to((t / step - sample_offset).round() as u64, share);
-            let lit = self.lit(settings, (ray, q), &sample, sample_offset, step, &mut shadows);
+            shadows.comes_to((number, step), share);
+            let lit = self.lit(settings, (ray, q), &sample, sample_offset, (steps, step), &mut shadows);
             let own = share * DVec3::from_array(lit);
             let reflectance = if turns && sample.material[5] == 1.0 { sample.material[4] } else { 0.0 };
             light += (1.0 - reflectance) * own;
             if reflectance > 0.0 {
                 if mirror.as_ref().is_some_and(|m| m.normal.dot(sample.normal) <= 0.0) {
-                    light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+                    light += self.reflected(settings, course, mirror.take(), sample_offset, steps);
                 }
-                let none =
-                    Mirror { weight: 0.0, place: DVec3::ZERO, normal: DVec3::ZERO, color: DVec3::ZERO };
-                let mirror = mirror.get_or_insert(none);
+                let mirror = mirror.get_or_insert_default();
                 let weight = share * reflectance;
                 let depth = -sample.boundary;
-                let reach = self.scene.unit_distance.max(2.0 * step);
+                let reach = self.scene.unit_distance.max(steps.boundary_reach(step));
                 let lift = if depth > 0.0 && depth <= reach { depth } else { 0.0 };
                 mirror.weight += weight;
+                mirror.step = step;
                 mirror.place += weight * (q + lift * sample.normal);
                 mirror.normal += weight * sample.normal;
                 mirror.color += reflectance * own;
             } else {
-                light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+                light += self.reflected(settings, course, mirror.take(), sample_offset, steps);
             }
             transmittance *= passed;
             if transmittance < f64::from(settings.stop_transmittance) {
                 break;
             }
         }
-        light += self.reflected(settings, course, mirror.take(), sample_offset, step);
+        light += self.reflected(settings, course, mirror.take(), sample_offset, steps);
         (light.to_array(), transmittance)
     }
 
@@ -169,7 +174,7 @@ impl ReferenceRenderer<'_> {
         course: &Course,
         mirror: Option<Mirror>,
         sample_offset: f64,
-        step: f64,
+        steps: &ReferenceSteps,
     ) -> DVec3 {
         let Some(mirror) = mirror else { return DVec3::ZERO };
         let weight = course.weight * mirror.weight;
@@ -177,9 +182,9 @@ impl ReferenceRenderer<'_> {
             return mirror.color;
         };
         let direction = course.ray.direction.reflect(normal);
-        let ray = Ray { origin: mirror.place / mirror.weight + 0.5 * step * direction, direction };
+        let ray = Ray { origin: mirror.place / mirror.weight + 0.5 * mirror.step * direction, direction };
         let next = Course { ray, weight, index: 1.0, normal, depth: course.depth + 1 };
-        let (color, open) = self.follow(settings, &next, sample_offset, step);
+        let (color, open) = self.follow(settings, &next, sample_offset, steps);
         mirror.weight * (DVec3::from_array(color) + open * self.behind())
     }
 

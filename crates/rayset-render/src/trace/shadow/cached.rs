@@ -28,7 +28,7 @@ use crate::trace::cloud::Remaining;
 use crate::trace::composite::{Absorption, RayState, Shares};
 use crate::trace::counts::RenderCounts;
 use crate::trace::march::{March, SlabVisitor};
-use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY, each_lane};
+use crate::trace::node_samples::{NodeSamples, each_lane};
 use rayset_base::geometry::{DVec3, Ray};
 use rayset_store::working_set::PageGuard;
 
@@ -82,6 +82,7 @@ impl<'a> DeepShadowLookups<'a> {
         rows: &mut [SampleRow],
     ) -> Result<[u32; LANES], Halt> {
         let mut undecided = [0_u32; LANES];
+        let reach_world = self.maker.world.steps.boundary_steps() * packet.step_world();
         // The tile of the last look-up stays retained: neighbouring samples mostly share it.
         let mut last: Option<(u32, PageGuard)> = None;
         let mut lanes = shares.lanes();
@@ -92,7 +93,7 @@ impl<'a> DeepShadowLookups<'a> {
             while samples != 0 {
                 let j = samples.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
                 samples &= samples - 1;
-                let place = lit_place(packet, node, lane, slab.first + j as u64, j);
+                let place = lit_place(packet, node, (lane, j), slab.first + j as u64, reach_world);
                 let width = self.footprints[lane].at(packet.sample_t_world(lane, slab.first + j as u64));
                 let Some(texel) = table.map.texel(place, width) else {
                     rows[lane].0[j] = 1.0;
@@ -115,7 +116,7 @@ impl<'a> DeepShadowLookups<'a> {
                     last = Some((texel.tile, guard));
                 }
                 let Some((_, guard)) = &last else { continue };
-                let lookup = Lookup::new(light, packet, node, (lane, j), place, &texel);
+                let lookup = Lookup::new(light, packet, node, (lane, j), (place, reach_world), &texel);
                 let corners = lookup.corners(guard, &texel);
                 rows[lane].0[j] = between(corners, texel.within);
                 let doubt = spread(corners) * lookup.scattered * shares.share[lane].0[j];
@@ -154,7 +155,7 @@ impl Lookup {
         packet: &Packet,
         node: &NodeSamples,
         (lane, j): (usize, usize),
-        place: DVec3,
+        (place, reach_world): (DVec3, f64),
         texel: &Texel,
     ) -> Self {
         let distance = texel.distance - packet.sample_offset(lane) * packet.step_world();
@@ -166,7 +167,7 @@ impl Lookup {
         };
         let cosine = normal.dot(toward);
         let scattered = cosine.abs() as f32;
-        if f64::from(node.boundary[lane].0[j]).abs() > STEPS_TO_BOUNDARY * packet.step_world() {
+        if f64::from(node.boundary[lane].0[j]).abs() > reach_world {
             return Self { distance, slope: (0.0, 0.0), scattered };
         }
         let gradient = (normal / cosine - toward).clamp_length_max(STEEPEST);

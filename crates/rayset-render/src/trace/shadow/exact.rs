@@ -70,7 +70,7 @@ impl<'a> ShadowRays<'a> {
         }
         let mut rays = Vec::with_capacity(LANES);
         for (lane, j) in lit(packet, slab, samples) {
-            match to_light(light, packet, slab, node, (lane, j)) {
+            match to_light(light, self.world.steps.boundary_steps(), packet, slab, node, (lane, j)) {
                 Some(ray) => rays.push(ray),
                 // The sample is at the position of the light.
                 None => rows[lane].0[j] = 1.0,
@@ -93,7 +93,8 @@ impl<'a> ShadowRays<'a> {
         node: &NodeSamples,
         samples: &[u32; LANES],
     ) {
-        let rays = lit(packet, slab, samples).filter_map(|of| to_light(light, packet, slab, node, of));
+        let rays = lit(packet, slab, samples)
+            .filter_map(|of| to_light(light, self.world.steps.boundary_steps(), packet, slab, node, of));
         let rays: Vec<Ray> = rays.map(|to| to.ray).collect();
         self.world.foresight.ask(&self.world.program, access, rays.chunks(LANES));
     }
@@ -215,12 +216,14 @@ fn lit<'s>(
 /// The ray from a sample to a light; `None` if the sample is at the position of the light.
 fn to_light(
     light: &Light,
+    boundary_steps: f64,
     packet: &Packet,
     slab: Slab,
     node: &NodeSamples,
     (lane, j): (usize, usize),
 ) -> Option<ToLight> {
-    let origin = lit_place(packet, node, lane, slab.first + j as u64, j);
+    let reach_world = boundary_steps * packet.step_world();
+    let origin = lit_place(packet, node, (lane, j), slab.first + j as u64, reach_world);
     let (direction, distance) = toward(light, origin)?;
     Some(ToLight {
         ray: Ray { origin, direction },

@@ -2,16 +2,22 @@
 
 use crate::field::Packet;
 use crate::scene::{Light, LightKind};
-use crate::trace::node_samples::{NodeSamples, STEPS_TO_BOUNDARY};
+use crate::trace::node_samples::NodeSamples;
 use rayset_base::geometry::DVec3;
 
-/// The position at which a sample is lit: on the boundary if it is just behind one, otherwise its
-/// own.
+/// The position at which a sample is lit: on the boundary if it is at most `reach_world` behind
+/// one, otherwise its own.
 #[inline(always)]
-pub(super) fn lit_place(packet: &Packet, node: &NodeSamples, lane: usize, sample: u64, j: usize) -> DVec3 {
+pub(super) fn lit_place(
+    packet: &Packet,
+    node: &NodeSamples,
+    (lane, j): (usize, usize),
+    sample: u64,
+    reach_world: f64,
+) -> DVec3 {
     let place = packet.ray(lane).at(packet.sample_t_world(lane, sample));
     let depth = -f64::from(node.boundary[lane].0[j]);
-    if !(depth > 0.0 && depth <= STEPS_TO_BOUNDARY * packet.step_world()) {
+    if !(depth > 0.0 && depth <= reach_world) {
         return place;
     }
     place + node.normal_at(lane, j) * depth

@@ -106,10 +106,11 @@ impl<'p> Details<'p> {
 
     /// Raises the lower limit of k for rays that meet the box of a solid, noise or a grid.
     fn hold_in_solids(&mut self, floor: i32) {
-        let solids = self.program.instructions.iter().filter(|i| is_solid(&i.action) && !i.bounds.is_empty());
+        let solids =
+            self.program.instructions.iter().filter(|i| is_solid(&i.action) && !i.object_bounds.is_empty());
         for instruction in solids {
             for (least, ray) in self.floors.iter_mut().zip(&self.rays) {
-                if *least < floor && instruction.bounds.clip(ray).is_some() {
+                if *least < floor && instruction.object_bounds.clip(ray).is_some() {
                     *least = floor;
                 }
             }
@@ -197,7 +198,7 @@ impl DetailedObject {
                 if let LookedAt::Nodes(nodes) = &mut self.looked_at {
                     return nodes.look(place, cloud, part, (going, open), chords);
                 }
-                let mut nodes = Box::new(CloudDetails::begin(place, cloud, &instruction.bounds)?);
+                let mut nodes = Box::new(CloudDetails::begin(place, cloud, &instruction.object_bounds)?);
                 let outcome = nodes.look(place, cloud, part, (going, open), chords);
                 self.looked_at = LookedAt::Nodes(nodes);
                 return outcome;
@@ -207,15 +208,15 @@ impl DetailedObject {
                 let cloud = &volume.placement;
                 let radius = f64::from(cloud.header().radius.max());
                 let length = |ray: &Ray| radius / cloud.stretch_along(ray.direction);
-                add_whole(place.rays, &instruction.bounds, &scale, length, chords);
+                add_whole(place.rays, &instruction.object_bounds, &scale, length, chords);
             }
             Action::Procedural(volume) => {
                 let length = |ray: &Ray| volume.detail_world(ray).max(floors.detail);
-                add_whole(place.rays, &instruction.bounds, &scale, length, chords);
+                add_whole(place.rays, &instruction.object_bounds, &scale, length, chords);
             }
             Action::Grid(volume) => {
                 let length = |ray: &Ray| (GRID_DETAIL * volume.spacing_world(ray)).max(floors.detail);
-                add_whole(place.rays, &instruction.bounds, &scale, length, chords);
+                add_whole(place.rays, &instruction.object_bounds, &scale, length, chords);
             }
             Action::Operator(..) => {}
         }

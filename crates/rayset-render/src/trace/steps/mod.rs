@@ -44,6 +44,13 @@ const ASKED_THEMSELVES: i32 = -4;
 /// quarter.
 const GRID_DETAIL: f64 = 2.0;
 
+/// A sample within this fraction of a detail behind a boundary is lit at the boundary: it would
+/// otherwise shadow itself, to a degree that depends on how the lattice of samples happens to lie.
+/// A fraction of what the step is a fraction of, so that finer steps make the same picture.
+const BOUNDARY_DETAILS: f64 = 0.5;
+/// The same, in steps, where steps are given.
+const BOUNDARY_STEPS: f64 = 2.0;
+
 /// Which steps the rays of a scene have.
 #[derive(Clone)]
 pub(super) struct StepRule {
@@ -51,6 +58,7 @@ pub(super) struct StepRule {
     coarsest: f64,
     /// k of the finest and of the coarsest steps that any ray has anywhere.
     range: (i32, i32),
+    boundary_steps: f64,
     scale: Scale,
     floors: Floors,
     /// For each instruction, the least k that it asks for on any ray; empty if steps are the same
@@ -94,7 +102,7 @@ impl StepRule {
         let within = program.instructions[program.root()].bounds;
         let diagonal = |bounds: Aabb| if bounds.is_empty() { 0.0 } else { bounds.size().length() };
         let solids = program.instructions.iter().filter(|i| is_solid(&i.action));
-        let solids = solids.map(|i| i.bounds.intersection(within)).filter(|bounds| !bounds.is_empty());
+        let solids = solids.map(|i| i.object_bounds.intersection(within)).filter(|bounds| !bounds.is_empty());
         let around_solids = diagonal(solids.fold(Aabb::EMPTY, Aabb::union));
         let floor = around_solids * FINEST_DETAIL;
         let details = program.instructions.iter().map(|i| {
@@ -127,15 +135,19 @@ impl StepRule {
         let finest =
             (extent / MOST_REFINED_STEPS / coarsest).log2().ceil().clamp(f64::from(-FINEST), 0.0) as i32;
         let scale = Scale { longest, finest };
+        let boundary_steps = match settings.step {
+            Step::Fixed(_) => BOUNDARY_STEPS,
+            Step::Automatic { fraction } => BOUNDARY_DETAILS / fraction,
+        };
         if !varies {
-            return Ok(Self { coarsest, range: (0, 0), scale, floors, least: Vec::new() });
+            return Ok(Self { coarsest, range: (0, 0), boundary_steps, scale, floors, least: Vec::new() });
         }
         let least: Vec<i32> =
             details.iter().map(|detail| detail.map_or(0, |(least, _)| scale.of(least))).collect();
         let finest_asked = least.iter().copied().min().unwrap_or(0);
         let range =
             (finest_asked.max(floors.exponent), floors.exponent.max(floors.exponent_in_solids).max(0));
-        Ok(Self { coarsest, range, scale, floors, least })
+        Ok(Self { coarsest, range, boundary_steps, scale, floors, least })
     }
 
     /// The longest step that details are given; world space. Only limits of the number of steps
@@ -147,6 +159,11 @@ impl StepRule {
     /// The finest step that any ray has anywhere; world space.
     pub(super) fn tick_world(&self) -> f64 {
         self.coarsest * 2_f64.powi(self.range.0)
+    }
+
+    /// How many steps behind a boundary samples are lit at it.
+    pub(super) fn boundary_steps(&self) -> f64 {
+        self.boundary_steps
     }
 
     /// Whether steps are the same everywhere.
