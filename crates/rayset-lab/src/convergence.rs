@@ -53,7 +53,9 @@ pub(crate) struct Measured {
 pub(crate) fn measure(options: &Options<'_>) -> Result<Vec<Measured>> {
     let mut results = Vec::new();
     for (name, path) in cases(options)? {
-        let file = SceneFile::load(&path)?;
+        let mut file = SceneFile::load(&path)?;
+        // So that it is seen where there is anything.
+        file.scene.background = None;
         let scale = f64::from(LONGER_EDGE) / f64::from(file.settings.width.max(file.settings.height));
         let edge = |pixels: u32| ((f64::from(pixels) * scale).round() as u32).max(1);
         let (width, height) = (edge(file.settings.width), edge(file.settings.height));

@@ -212,7 +212,7 @@ impl<'a> PacketTracer<'a> {
         }
         self.states.fill(RayState::START);
         if let Some(shadows) = &mut self.shadows {
-            shadows.begin(rays.iter().map(|ray| ray.footprint));
+            shadows.begin(rays.iter().map(|ray| (ray.footprint, ray.weight as f32)));
         }
         self.counts.packets += 1;
         let before = self.counts;

@@ -2,7 +2,7 @@
 
 /// Samples of a ray that share the shadows of one of them: of eight in a row by their numbers, of
 /// one step, those behind one that has shadows of its own, as long as they are at most 1/64 of the
-/// ray.
+/// pixel.
 #[derive(Default)]
 pub(super) struct SharedShadows {
     /// The number of its first sample over 8, and the step.
@@ -16,7 +16,7 @@ pub(super) struct SharedShadows {
 
 impl SharedShadows {
     /// Advances to a sample that is not transparent, by its number among those of its step, of a
-    /// given share of its ray.
+    /// given share of its pixel.
     pub(super) fn comes_to(&mut self, (number, step): (u64, f64), share: f64) {
         let run = Some((number / 8, step));
         self.are_taken = self.run == run && share <= self.left;

@@ -136,7 +136,7 @@ impl ReferenceRenderer<'_> {
                 continue;
             }
             let share = transmittance * (1.0 - passed);
-            shadows.comes_to((number, step), share);
+            shadows.comes_to((number, step), course.weight * share);
             let lit = self.lit(settings, (ray, q), &sample, sample_offset, (steps, step), &mut shadows);
             let own = share * DVec3::from_array(lit);
             let reflectance = if turns && sample.material[5] == 1.0 { sample.material[4] } else { 0.0 };

@@ -40,8 +40,6 @@ const CORNERS: u32 = TILE_CELLS + 1;
 /// Looks up shadows by interpolation between the rays of a light; computes missing tiles.
 pub(super) struct DeepShadowLookups<'a> {
     maker: TileMaker<'a>,
-    /// Of the rays of a packet.
-    footprints: [Footprint; LANES],
     /// Tiles of the tables of lights, by their objects, that a packet lacks and whose rays have
     /// been asked for.
     asked: BTreeSet<(usize, u32)>,
@@ -56,13 +54,12 @@ impl<'a> DeepShadowLookups<'a> {
             shares: Shares::new(),
             curves: TransmittanceCurves::new(),
         };
-        Self { maker, footprints: [Footprint::default(); LANES], asked: BTreeSet::new() }
+        Self { maker, asked: BTreeSet::new() }
     }
 
     /// Starts a packet.
-    pub(super) fn begin(&mut self, footprints: impl Iterator<Item = Footprint>) {
+    pub(super) fn begin(&mut self) {
         self.asked.clear();
-        self.footprints.iter_mut().zip(footprints).for_each(|(own, of_ray)| *own = of_ray);
     }
 
     /// Fills the rows of the samples that are wanted, a bit for each. Returns a bit for each sample
@@ -77,6 +74,7 @@ impl<'a> DeepShadowLookups<'a> {
         packet: &Packet,
         slab: Slab,
         node: &NodeSamples,
+        (footprints, weights): (&[Footprint; LANES], &[f32; LANES]),
         (shares, wanted): (&Shares, &[u32; LANES]),
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
@@ -94,7 +92,7 @@ impl<'a> DeepShadowLookups<'a> {
                 let j = samples.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
                 samples &= samples - 1;
                 let place = lit_place(packet, node, (lane, j), slab.first + j as u64, reach_world);
-                let width = self.footprints[lane].at(packet.sample_t_world(lane, slab.first + j as u64));
+                let width = footprints[lane].at(packet.sample_t_world(lane, slab.first + j as u64));
                 let Some(texel) = table.map.texel(place, width) else {
                     rows[lane].0[j] = 1.0;
                     continue;
@@ -119,7 +117,8 @@ impl<'a> DeepShadowLookups<'a> {
                 let lookup = Lookup::new(light, packet, node, (lane, j), (place, reach_world), &texel);
                 let corners = lookup.corners(guard, &texel);
                 rows[lane].0[j] = between(corners, texel.within);
-                let doubt = spread(corners) * lookup.scattered * shares.share[lane].0[j];
+                let share = weights[lane] * shares.share[lane].0[j];
+                let doubt = spread(corners) * lookup.scattered * share;
                 undecided[lane] |= u32::from(doubt > LARGEST_DOUBT) << j;
             }
         }

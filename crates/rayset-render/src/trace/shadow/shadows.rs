@@ -20,6 +20,9 @@ pub(in crate::trace) struct Shadows<'a> {
     cached: DeepShadowLookups<'a>,
     shared: SharedShadows,
     world: &'a ShadowWorld,
+    /// Of the rays of a packet.
+    footprints: [Footprint; LANES],
+    weights: [f32; LANES],
     rows: ShadowRows,
 }
 
@@ -45,14 +48,20 @@ impl<'a> Shadows<'a> {
             cached: DeepShadowLookups::new(world, slab_samples),
             shared: SharedShadows::new(world.lights.len()),
             world,
+            footprints: [Footprint::default(); LANES],
+            weights: [1.0; LANES],
             rows: world.lights.iter().map(|light| light.as_ref().and_then(all)).collect(),
         }
     }
 
-    /// Starts a packet, given how wide the pixels of its rays are.
-    pub(in crate::trace) fn begin(&mut self, footprints: impl Iterator<Item = Footprint>) {
+    /// Starts a packet, given how wide the pixels of its rays are, and which fraction of each ray's
+    /// light reaches its pixel.
+    pub(in crate::trace) fn begin(&mut self, rays: impl Iterator<Item = (Footprint, f32)>) {
+        for (lane, (footprint, weight)) in rays.enumerate() {
+            (self.footprints[lane], self.weights[lane]) = (footprint, weight);
+        }
         self.shared.begin();
-        self.cached.begin(footprints);
+        self.cached.begin();
     }
 
     /// Computes how much of each light reaches the contributing samples.
@@ -65,7 +74,7 @@ impl<'a> Shadows<'a> {
         shares: &Shares,
         counts: &mut RenderCounts,
     ) -> Result<&ShadowRows, Halt> {
-        self.shared.choose(slab, shares);
+        self.shared.choose(slab, &self.weights, shares);
         let samples = &self.shared.computed.clone();
         for (number, (light, rows)) in self.world.lights.iter().zip(&mut self.rows).enumerate() {
             let (Some(with_shadows), Some(rows)) = (light, rows) else { continue };
@@ -79,6 +88,7 @@ impl<'a> Shadows<'a> {
                         packet,
                         slab,
                         node,
+                        (&self.footprints, &self.weights),
                         (shares, samples),
                         counts,
                         rows,

@@ -3,7 +3,7 @@
 //!
 //! The samples of a ray are divided into runs of eight, by their numbers. Within a run, samples
 //! take the shadow of the last one before them for which it was computed, as long as those that do
-//! so are at most [`LARGEST_SHARE`] of their ray. This is a function of the ray alone: neither
+//! so are at most [`LARGEST_SHARE`] of their pixel. This is a function of the ray alone: neither
 //! slabs nor packets change it.
 
 use super::cached::LARGEST_DOUBT;
@@ -13,7 +13,7 @@ use crate::trace::node_samples::each_lane;
 
 /// Samples in a run: those of one slab, or of several.
 const RUN_SAMPLES: u64 = 8;
-/// The largest part of a ray that takes the shadow of one of its samples.
+/// The largest part of a pixel that takes the shadow of one of its samples.
 const LARGEST_SHARE: f32 = LARGEST_DOUBT;
 /// From which bit on the level stands in the number of a run.
 const LEVEL_BIT: u32 = 56;
@@ -35,7 +35,7 @@ pub(super) struct SharedShadows {
 #[derive(Clone, Copy)]
 struct LastShadow {
     run: u64,
-    /// The part of the ray that may still take them.
+    /// The part of the pixel that may still take them.
     left: f32,
 }
 
@@ -55,8 +55,8 @@ impl SharedShadows {
     }
 
     /// Decides for each contributing sample of a slab, front to back, whether its shadow has to be
-    /// computed.
-    pub(super) fn choose(&mut self, slab: Slab, shares: &Shares) {
+    /// computed; `weights` are the fractions of the light of rays that reach their pixels.
+    pub(super) fn choose(&mut self, slab: Slab, weights: &[f32; LANES], shares: &Shares) {
         (self.computed, self.taken) = ([0; LANES], [0; LANES]);
         each_lane(shares.lanes(), |lane| {
             let ray = &mut self.rays[lane];
@@ -67,7 +67,7 @@ impl SharedShadows {
                 // The level is part of a run's number: samples of two are never of one run.
                 let number = (slab.first + j as u64) / RUN_SAMPLES;
                 let run = number | (u64::from(slab.level) << LEVEL_BIT);
-                let share = shares.share[lane].0[j];
+                let share = weights[lane] * shares.share[lane].0[j];
                 if ray.run == run && share <= ray.left {
                     ray.left -= share;
                     self.taken[lane] |= 1 << j;
@@ -121,7 +121,7 @@ mod tests {
                         slab.share[3].0[j] = share;
                         slab.samples[3] |= u32::from(share > 0.0) << j;
                     }
-                    shared.choose(Slab { first, samples: some.len(), level: 0 }, &slab);
+                    shared.choose(Slab { first, samples: some.len(), level: 0 }, &[1.0; LANES], &slab);
                     // A sample's shadow is its number.
                     let mut rows = vec![SampleRow([f32::NAN; 32]); LANES];
                     for j in (0..some.len()).filter(|j| shared.computed[3] >> j & 1 == 1) {
@@ -144,6 +144,22 @@ mod tests {
                     prop_assert!(shadows[j] >= (run * 8) as f32 && shadows[j] <= j as f32);
                 }
             }
+        }
+
+        #[test]
+        fn a_ray_that_is_half_of_its_pixel_shares_as_one_of_half_the_shares(
+            shares in prop::collection::vec(0.0_f32..0.06, 32),
+        ) {
+            let decide = |weight: f32, factor: f32| {
+                let mut slab = Shares::new();
+                slab.samples[5] = u32::MAX;
+                slab.share[5].0.iter_mut().zip(&shares).for_each(|(row, share)| *row = factor * share);
+                let mut shared = SharedShadows::new(1);
+                shared.begin();
+                shared.choose(Slab { first: 0, samples: 32, level: 0 }, &[weight; LANES], &slab);
+                shared.computed[5]
+            };
+            prop_assert_eq!(decide(0.5, 1.0), decide(1.0, 0.5));
         }
     }
 }
