@@ -79,17 +79,18 @@ impl ReferenceSteps {
         Self { rule: Rule::Same(step_world), boundary_steps: 2.0 }
     }
 
-    /// The steps of a scene.
+    /// The steps that rays of a scene have by the settings; of shadow rays, too.
     ///
     /// # Errors
     /// [`ScanError`] if a cloud cannot be read or is damaged.
     pub fn of(scene: &Scene, settings: &RenderSettings) -> Result<Self, ScanError> {
-        let Step::Automatic { fraction } = settings.step else {
-            let Step::Fixed(step) = settings.step else { return Ok(Self::same(1.0)) };
-            return Ok(Self::same(step));
-        };
-        // Half a detail, of which the step is a fraction.
-        Ok(Self { rule: ByPlace::of(scene, fraction)?, boundary_steps: 0.5 / fraction })
+        match settings.step {
+            Step::Fixed(step_world) => Ok(Self::same(step_world)),
+            Step::Automatic { fraction } => {
+                // Half a detail, of which the step is a fraction.
+                Ok(Self { rule: ByPlace::of(scene, fraction)?, boundary_steps: 0.5 / fraction })
+            }
+        }
     }
 
     /// The samples of a ray that may lie within some bounds, front to back.
