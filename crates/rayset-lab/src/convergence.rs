@@ -113,7 +113,10 @@ fn cases(options: &Options<'_>) -> Result<Vec<(String, PathBuf)>> {
     if options.inputs.is_empty() {
         return scenes::prepare(options.folder, &[]);
     }
-    options.inputs.iter().map(|input| Ok((name_of(input), scene_of(options.folder, input)?))).collect()
+    let case = |(number, input): (usize, &String)| -> Result<(String, PathBuf)> {
+        Ok((name_of(input), scene_of(options.folder, number, input)?))
+    };
+    options.inputs.iter().enumerate().map(case).collect()
 }
 
 fn name_of(input: &str) -> String {
@@ -121,11 +124,11 @@ fn name_of(input: &str) -> String {
 }
 
 /// The scene of an input: itself, or the one that `rayset render` makes of it.
-fn scene_of(folder: &Path, input: &str) -> Result<PathBuf> {
+fn scene_of(folder: &Path, number: usize, input: &str) -> Result<PathBuf> {
     if Path::new(input).extension() == Some(OsStr::new("json")) {
         return Ok(input.into());
     }
-    let scene = folder.join(format!("{}.json", name_of(input)));
+    let scene = folder.join(format!("{number}-{}.json", name_of(input)));
     let program = std::env::current_exe().context("cannot find this program's own file")?;
     let mut command = Command::new(program);
     command.arg("render").arg(input).arg("-o").arg(folder.join("picture.png"));

@@ -62,8 +62,9 @@ fn lit(root: Node) -> Scene {
 }
 
 /// Every pixel against the reference, by the rule and with the coarsest step alone. Returns how
-/// many differ by more than 1/1024: of the first, where the documents allow one in a thousand, and
-/// of the second.
+/// many differ by more than 1/1024, of the first and of the second. One of a thousand may by the
+/// documents; a picture of so few pixels is allowed two, and six where edges of exact shadows are
+/// in it, which both renderers find with different rounding.
 fn differing(scene: &Scene, settings: &RenderSettings) -> (usize, usize) {
     let found = plain_picture(scene, settings);
     let reference = ReferenceRenderer::load(scene).expect("the clouds read");
@@ -170,7 +171,8 @@ fn opaque_clouds_under_shadows_are_as_bright_with_an_eighth_of_the_step() {
             assert!(count > 100, "{count} pixels are covered");
             sum / f64::from(count)
         };
-        let (default, fine) = (mean(0.25), mean(1.0 / 32.0));
+        let (coarse, default, fine) = (mean(1.0), mean(0.25), mean(1.0 / 32.0));
+        assert!(coarse > 0.92 * default, "{shadows:?}: {coarse} with four times the step, {default}");
         assert!(
             (default - fine).abs() < 0.01,
             "{shadows:?}: {default} and {fine} with an eighth of the step"

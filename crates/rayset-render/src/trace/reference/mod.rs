@@ -377,6 +377,7 @@ impl<'a> ReferenceRenderer<'a> {
             let reaching = if light.throws_shadows() && shadows.are_taken {
                 shadows.reaching[number]
             } else if light.throws_shadows() && distance > 0.0 {
+                // A sample just behind a boundary is lit as if it lay on the boundary.
                 let depth = -sample.boundary;
                 let on_boundary = depth > 0.0 && depth <= steps.boundary_reach(step);
                 let place = if on_boundary { q + sample.normal * depth } else { q };

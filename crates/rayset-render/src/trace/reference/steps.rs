@@ -88,7 +88,8 @@ impl ReferenceSteps {
             Step::Fixed(step_world) => Ok(Self::same(step_world)),
             Step::Automatic { fraction } => {
                 // Half a detail, of which the step is a fraction.
-                Ok(Self { rule: ByPlace::of(scene, fraction)?, boundary_steps: 0.5 / fraction })
+                let boundary_steps = (0.5 / fraction).max(2.0);
+                Ok(Self { rule: ByPlace::of(scene, fraction)?, boundary_steps })
             }
         }
     }

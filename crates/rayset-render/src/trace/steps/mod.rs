@@ -44,12 +44,12 @@ const ASKED_THEMSELVES: i32 = -4;
 /// quarter.
 const GRID_DETAIL: f64 = 2.0;
 
-/// A sample within this fraction of a detail behind a boundary is lit at the boundary: it would
-/// otherwise shadow itself, to a degree that depends on how the lattice of samples happens to lie.
-/// A fraction of what the step is a fraction of, so that finer steps make the same picture.
-const BOUNDARY_DETAILS: f64 = 0.5;
-/// The same, in steps, where steps are given.
+/// A sample within so many steps behind a boundary is lit at the boundary: it would otherwise
+/// shadow itself, to a degree that depends on how the lattice of samples happens to lie.
 const BOUNDARY_STEPS: f64 = 2.0;
+/// The same, in details of which automatic steps are a fraction, so that finer steps make the same
+/// picture.
+const BOUNDARY_DETAILS: f64 = 0.5;
 
 /// Which steps the rays of a scene have.
 #[derive(Clone)]
@@ -137,7 +137,7 @@ impl StepRule {
         let scale = Scale { longest, finest };
         let boundary_steps = match settings.step {
             Step::Fixed(_) => BOUNDARY_STEPS,
-            Step::Automatic { fraction } => BOUNDARY_DETAILS / fraction,
+            Step::Automatic { fraction } => (BOUNDARY_DETAILS / fraction).max(BOUNDARY_STEPS),
         };
         if !varies {
             return Ok(Self { coarsest, range: (0, 0), boundary_steps, scale, floors, least: Vec::new() });
