@@ -5,6 +5,8 @@ use fearless_simd::prelude::*;
 
 use super::packet::{LANES, Packet, SLAB_SAMPLES, Slab};
 use super::pairs::BlockLimits;
+#[cfg(test)]
+use super::simd::{SimdLevel, dispatch};
 
 /// The quantities accumulated besides the density.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -134,8 +136,8 @@ impl LeastAbsorption {
     /// That of one sample.
     #[cfg(test)]
     pub(crate) fn of(&self, density: f32) -> f32 {
-        let line = ((density - self.from) * self.per_density).max(0.0).min(self.most);
-        if density >= self.full { self.when_full } else { line }
+        let row: [f32; 8] = std::array::from_fn(|j| if j == 3 { density } else { 0.0 });
+        dispatch!(SimdLevel::default().level(), simd => self.sum(f32x8::from_slice(simd, &row)))
     }
 }
 

@@ -7,16 +7,19 @@ use rayset_base::bytes::list_bytes;
 const MOST_PLACES: u32 = 1024;
 /// Fewest places.
 const FEWEST_PLACES: u32 = 16;
+/// Of so many knots in a place each is compared with a value: a search would take branches, which
+/// nothing could foresee.
+const FEW: usize = 4;
 
 /// Ascending knots, indexed.
 pub(super) struct Knots {
-    /// For each knot, the least value that is not before it. Ascending.
+    /// For each knot, the least value that is not before it, ascending; and [`FEW`] NaNs.
     from: Vec<f32>,
     /// For each place, the first knot that is not before it; and one final entry.
     index: Vec<u32>,
     places: Places,
-    /// Whether no place holds more than one knot.
-    is_even: bool,
+    /// Whether no place holds more than [`FEW`] knots.
+    has_few: bool,
 }
 
 /// How values are divided among the places of an index. Places never descend as values ascend.
@@ -87,8 +90,9 @@ impl Knots {
                 (places, index) = (by_octave, other);
             }
         }
-        let is_even = most_in_place(&index) <= 1;
-        Self { from, index, places, is_even }
+        let has_few = most_in_place(&index) <= FEW as u32;
+        let from = from.into_iter().chain([f32::NAN; FEW]).collect();
+        Self { from, index, places, has_few }
     }
 
     /// Bytes of its lists.
@@ -100,13 +104,12 @@ impl Knots {
     #[inline(always)]
     pub(super) fn not_above(&self, value: f32) -> usize {
         let place = self.places.of(value) as usize;
-        let (mut first, mut end) = (self.index[place] as usize, self.index[place + 1] as usize);
-        if self.is_even {
-            // Without a branch, which nothing could foresee.
-            let next = self.from.get(first).copied().unwrap_or(f32::INFINITY);
-            return first + usize::from(next <= value && first < end);
-        }
         // Knots before `first` are not above the value; those from `end` on are.
+        let (mut first, mut end) = (self.index[place] as usize, self.index[place + 1] as usize);
+        if self.has_few {
+            let [a, b, c, d] = std::array::from_fn(|i| u32::from(self.from[first + i] <= value));
+            return first + (a + b + c + d) as usize;
+        }
         while first < end {
             let middle = (first + end) / 2;
             if self.from[middle] <= value { first = middle + 1 } else { end = middle }
@@ -167,6 +170,11 @@ impl Curve {
     /// Bytes of its lists.
     pub(super) fn bytes(&self) -> usize {
         list_bytes(&self.points) + self.knots.bytes()
+    }
+
+    /// It is 0 at all values up to this one.
+    pub(super) fn zero_until(&self) -> f32 {
+        self.zero_until
     }
 
     /// Its height at a value that is not NaN.

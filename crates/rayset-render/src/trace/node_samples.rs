@@ -305,6 +305,19 @@ pub(super) fn each_lane(mut lanes: u64, mut f: impl FnMut(usize)) {
     }
 }
 
+/// The samples of a row that are above a value, a bit for each.
+#[inline(always)]
+pub(super) fn above(row: &SampleRow, value: f32) -> u32 {
+    row.0.iter().enumerate().fold(0, |bits, (j, &v)| bits | u32::from(v > value) << j)
+}
+
+/// So many samples, from the first, a bit for each.
+#[inline(always)]
+pub(super) fn first_samples(count: usize) -> u32 {
+    const { assert!(SLAB_SAMPLES == u32::BITS as usize) };
+    if count == 0 { 0 } else { u32::MAX >> (SLAB_SAMPLES - count) }
+}
+
 /// The number of samples, from the first, up to the one with which their optical depths exceed
 /// `left`.
 #[inline(always)]

@@ -175,6 +175,7 @@ impl CloudMarch {
         field.clear();
         let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
         self.gather(volume, request, lanes, &splatter, &mut scratch.batch, counts, field)?;
+        // Opacities are no depths: where a ray ends is not found by adding them.
         let ends = request.ends.filter(|_| measure == Measure::OpticalDepth).map(|ends| &ends.depth);
         volume.shading.transfer(field, (measure, required, simd), ends, out);
         Ok(())

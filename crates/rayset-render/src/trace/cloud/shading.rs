@@ -12,8 +12,8 @@ use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule};
 use crate::trace::knots::Curve;
 use crate::trace::math::{absorbed, ln};
 use crate::trace::node_samples::{
-    MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, each_lane, normalize, numbers,
-    samples_within,
+    MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, ZERO, above, each_lane,
+    first_samples, normalize, numbers, samples_within,
 };
 use crate::trace::transfer::ColorTable;
 use rayset_base::bytes::list_bytes;
@@ -174,8 +174,7 @@ impl CloudShading {
         }
         each_lane(field.touched, |lane| {
             if required.color {
-                let seen = |ends: &[f32; LANES]| samples_within(&out.opacity[lane].0, ends[lane]);
-                self.fill_color(field, lane, ends.map_or(SLAB_SAMPLES, seen), out);
+                self.fill_color(field, lane, ends.map(|ends| ends[lane]), out);
             }
             for number in numbers(required.attributes) {
                 self.fill_attribute(field, lane, number, out);
@@ -213,8 +212,14 @@ impl CloudShading {
             }
             (OpacityRule::Curve(_), _) => {
                 let Some(curve) = &self.curve else { return };
-                let opacity = |d: f32| if d > 0.0 { curve.at(d).min(MAX_OPACITY) as f32 } else { 0.0 };
-                each_lane(lanes, |lane| rows[lane] = SampleRow(density[lane].0.map(opacity)));
+                let zero_until = curve.zero_until().max(0.0);
+                each_lane(lanes, |lane| {
+                    let (density, row) = (&density[lane], &mut rows[lane]);
+                    *row = ZERO;
+                    for j in numbers(above(density, zero_until)) {
+                        row.0[j] = curve.at(density.0[j]).min(MAX_OPACITY) as f32;
+                    }
+                });
                 if measure == Measure::OpticalDepth {
                     dispatch!(simd.level(), _simd => optical_depth_of_opacity(lanes, rows));
                 }
@@ -222,8 +227,9 @@ impl CloudShading {
         }
     }
 
-    /// Fills the colours of a lane; of its first `seen` samples those that are mapped.
-    fn fill_color(&self, field: &FieldSamples, lane: usize, seen: usize, out: &mut NodeSamples) {
+    /// Fills the colours of a lane. Those that are mapped are left out behind the optical depth
+    /// `end`.
+    fn fill_color(&self, field: &FieldSamples, lane: usize, end: Option<f32>, out: &mut NodeSamples) {
         let density = &field.density[lane].0;
         match &self.color {
             Color::Uniform(color) => {
@@ -238,13 +244,12 @@ impl CloudShading {
             }
             Color::Map { table, carried, .. } => {
                 let values = carried.map_or(*density, |carried| self.value(field, lane, carried).0);
-                for j in 0..seen {
-                    if !(out.opacity[lane].0[j] > 0.0) {
-                        continue;
-                    }
-                    for (rows, v) in out.color.iter_mut().zip(table.color(values[j])) {
-                        rows[lane].0[j] = v;
-                    }
+                let opacity = &out.opacity[lane];
+                let seen = end.map_or(SLAB_SAMPLES, |end| samples_within(&opacity.0, end));
+                let shown = above(opacity, 0.0) & first_samples(seen);
+                let [red, green, blue] = out.color.each_mut().map(|rows| &mut rows[lane].0);
+                for j in numbers(shown) {
+                    [red[j], green[j], blue[j]] = table.color(values[j]);
                 }
             }
         }
