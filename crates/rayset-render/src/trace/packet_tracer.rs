@@ -1,8 +1,6 @@
 //! Traces the rays of tiles, packet by packet, and each packet slab by slab: the loop that takes
 //! nearly all of the time.
 
-use std::ops::Range;
-
 use super::access::{Access, Halt};
 use super::bounce::{RefractionStates, TreeRay};
 use super::cloud::Remaining;
@@ -106,27 +104,19 @@ impl<'a> PacketTracer<'a> {
         let (mut first, mut sheet) = (0, Sheet::with_capacity(LANES));
         tree.begin();
         for number in 0..sheets {
-            let layers_before = self.layers.clone();
             make(number, &mut sheet);
             tree.add_sheet(&sheet, self.rays, number - first);
-            let mut traced = self.generation(access, tree, true)?;
+            self.generation(access, tree)?;
             let is_last = number + 1 == sheets || number + 1 - first == MOST_SHEETS;
-            if traced == Traced::Whole && !is_last && self.world.bounces.is_some() && !tree.is_full() {
+            let is_enough = is_last || tree.is_full() || tree.some_wait();
+            if !is_enough && self.world.bounces.is_some() {
                 continue;
             }
-            while traced == Traced::Whole && tree.advance() {
-                traced = self.generation(access, tree, true)?;
-            }
-            if traced == Traced::TooMany {
-                self.layers = layers_before;
+            while tree.advance() {
+                self.generation(access, tree)?;
             }
             for one in first..=number {
-                let at = one - first;
-                if traced == Traced::TooMany {
-                    make(one, &mut sheet);
-                    self.pixels(access, tree, &sheet, 0..sheet.len(), at)?;
-                }
-                let seen = tree.seen_by(at);
+                let seen = tree.seen_by(one - first);
                 if let Some(layers) = &mut self.layers {
                     sheet.iter().for_each(|of| layers.hide(of.pixel, 1.0 - seen[of.pixel].open as f32));
                 }
@@ -138,41 +128,25 @@ impl<'a> PacketTracer<'a> {
         Ok(())
     }
 
-    /// Traces some rays of one sheet, whose number is `at`: together, or half of them at a time if
-    /// too many rays would follow.
-    fn pixels(
-        &mut self,
-        access: Access<'_>,
-        tree: &mut RayTree,
-        sheet: &Sheet,
-        pixels: Range<usize>,
-        at: usize,
-    ) -> Result<(), Halt> {
-        let before = self.layers.clone();
-        tree.start_again(sheet, self.rays, pixels.clone(), at);
-        let mut traced = Traced::Whole;
-        while traced == Traced::Whole && !tree.generation().is_empty() {
-            traced = self.generation(access, tree, pixels.len() > 1)?;
-            tree.advance();
+    /// Traces the rays of a generation, or of half of its pixels, and so on, if too many would
+    /// follow.
+    fn generation(&mut self, access: Access<'_>, tree: &mut RayTree) -> Result<(), Halt> {
+        let known = tree.following();
+        // Only rays from the eye have layers.
+        let layers_before = self.layers.clone().filter(|_| tree.generation()[0].ray.is_primary());
+        while self.attempt(access, tree)? == Traced::TooMany {
+            if layers_before.is_some() {
+                self.layers.clone_from(&layers_before);
+            }
+            tree.start_with_half(known);
         }
-        if traced == Traced::Whole {
-            return Ok(());
-        }
-        self.layers = before;
-        let middle = pixels.start + pixels.len() / 2;
-        self.pixels(access, tree, sheet, pixels.start..middle, at)?;
-        self.pixels(access, tree, sheet, middle..pixels.end, at)
+        Ok(())
     }
 
-    /// Traces the rays of a tree and adds their light; collects their successors. Stops if they are
-    /// too many and that is of interest.
-    fn generation(
-        &mut self,
-        access: Access<'_>,
-        tree: &mut RayTree,
-        is_limited: bool,
-    ) -> Result<Traced, Halt> {
-        let known = tree.following();
+    /// Traces the rays of a generation and adds their light; collects their successors. Stops if
+    /// they are too many and half of the pixels could wait.
+    fn attempt(&mut self, access: Access<'_>, tree: &mut RayTree) -> Result<Traced, Halt> {
+        let (known, is_limited) = (tree.following(), tree.is_of_several_pixels());
         tree.ends.clear();
         tree.ends.resize(tree.generation().len(), End::default());
         let packets = tree.packets(self.world.steps.coarsest_world());
