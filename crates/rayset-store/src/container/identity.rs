@@ -42,10 +42,12 @@ pub struct RecordSum {
 }
 
 impl RecordSum {
-    /// Adds a record.
-    pub fn include(&mut self, record: &[u8]) {
-        self.sum = self.sum.wrapping_add(xxh3_128(record));
+    /// Adds a record. Returns a hash of it.
+    pub fn include(&mut self, record: &[u8]) -> u64 {
+        let hash = xxh3_128(record);
+        self.sum = self.sum.wrapping_add(hash);
         self.count += 1;
+        hash as u64
     }
 
     /// The sum and the count as numbers of 64 bits, lower half first.

@@ -99,6 +99,12 @@ fn a_build_in_parts_has_the_bytes_of_a_local_one() {
         vec![Box::new(ArraySource::new(vec![[0.5, 0.25, -3.0]; 30_000], vec![]))]
     };
     check("equal points", &equal, &with_radius(1e-4));
+    // Copies that are merged though radii are given: everywhere, and with weights of their own.
+    let twice = || vec![scan(9000, 6), scan(500, 7), scan(9000, 6)];
+    check("twice the same", &twice, &options);
+    let radius = Some(Rule::Attribute("green".into()));
+    let weighted = BuildOptions { radius, weight: Some(Rule::Attribute("red".into())), ..options };
+    check("twice the same, with radii and weights", &twice, &weighted);
 }
 
 #[test]

@@ -33,11 +33,17 @@ fn shuffled(mut points: Vec<Point>) -> Vec<Point> {
 
 /// A cloud with measured radii; weights are those of a column if there is one.
 fn built(points: Vec<Point>, weights: Option<Vec<f32>>) -> Arc<Cloud> {
+    built_with(Rule::Auto, points, weights)
+}
+
+/// The same with any rule for radii, which may name the column "size", one of four sizes.
+fn built_with(radius: Rule, points: Vec<Point>, weights: Option<Vec<f32>>) -> Arc<Cloud> {
+    let sizes = points.iter().map(|(_, number)| 0.1 + 0.02 * (number % 4.0)).collect();
     let (position, numbers) = points.into_iter().unzip();
     let columns = weights.map(|weights| ("weight", weights)).into_iter();
-    let source = ArraySource::new(position, columns.chain([("number", numbers)]).collect());
+    let source = ArraySource::new(position, columns.chain([("number", numbers), ("size", sizes)]).collect());
     let attributes = vec!["number".into()];
-    let options = BuildOptions { radius: Some(Rule::Auto), attributes, ..BuildOptions::default() };
+    let options = BuildOptions { radius: Some(radius), attributes, ..BuildOptions::default() };
     let folder = folder();
     let path = folder.path().join("c.rset");
     let cloud = build_at(&path, Box::new(source), &options);
@@ -101,5 +107,25 @@ fn points_that_differ_in_a_column_and_few_copies_stay_as_they_are() {
     for (copies, merged) in [(1, 0), (2, 2)] {
         let cloud = built(places[..14].iter().chain(&places[..copies]).copied().collect(), None);
         assert_eq!(cloud.header().copies, merged, "{copies} copies of 14 points");
+    }
+}
+
+#[test]
+fn copies_are_merged_whether_radii_are_measured_or_given() {
+    let places = places(3000);
+    let times = |i: usize| 1 + i % 4;
+    let copied: Vec<Point> = (0..).zip(&places).flat_map(|(i, point)| vec![*point; times(i)]).collect();
+    for radius in [Rule::Number(0.12), Rule::Attribute("size".into())] {
+        let cloud = built_with(radius.clone(), shuffled(copied.clone()), None);
+        let header = cloud.header();
+        assert_eq!((header.points, header.copies), (3000, copied.len() as u64 - 3000), "{radius:?}");
+        assert_eq!(header.weight, Column::Varying { min: 1.0, max: 4.0 });
+        let weights = Some((0..3000).map(|i| times(i) as f32).collect());
+        let weighted = built_with(radius.clone(), places.clone(), weights);
+        assert_eq!((header.radius, weighted.header().copies), (weighted.header().radius, 0));
+        assert!(picture(&cloud) == picture(&weighted), "the pictures differ: {radius:?}");
+        // Many points without copies keep their order and their files.
+        let few = places.iter().chain(&places[..300]).copied().collect();
+        assert_eq!(built_with(radius, few, None).header().copies, 0);
     }
 }

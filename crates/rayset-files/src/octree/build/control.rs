@@ -9,7 +9,7 @@ use rayset_base::cancel::CancelToken;
 pub enum Stage {
     /// Reading and checking the input.
     Read,
-    /// Measuring the spacing of points.
+    /// Measuring the spacing of points, or looking for copies among them.
     Spacing,
     /// Ordering points and writing pages.
     Write,

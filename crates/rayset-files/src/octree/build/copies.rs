@@ -1,14 +1,19 @@
 //! Points that are equal in every column: where they are many, those of one place become one point,
 //! whose weight is the sum of theirs.
 //!
-//! It is a pass of its own over records with measured radii, in the order of the curve. Equal
-//! records follow each other there, and have one radius. What it makes depends on the records
-//! alone.
+//! It is a pass of its own over records in the order of the curve, where equal ones follow each
+//! other. Records whose radii were measured are in that order already; others are sorted by it if
+//! many of them seem to be copies (`distinct`). What it makes depends on the records alone.
 
 use super::context::Context;
+use super::control::Stage;
 use super::error::BuildError;
 use super::ingest::Ingested;
+use super::partition::Partition;
+use super::pieces::{Assemble, Copy};
+use super::plan::Cell;
 use super::record::{self, RecordLayout};
+use super::region::Region;
 use super::survey::{LIMIT, Merged, NO_RANGE};
 use rayset_store::spill::{Spill, SpillWriter};
 
@@ -38,7 +43,7 @@ pub(super) struct Merger {
 }
 
 impl Merger {
-    /// `layout` is that of the records, which have radii.
+    /// `layout` is that of the records.
     pub(super) fn new(layout: &RecordLayout, weight: f32) -> Self {
         let merged = Merged { points: 0, weight_range: NO_RANGE };
         Self { layout: layout.clone(), weight, latest: Vec::new(), times: 0, point: Vec::new(), merged }
@@ -89,7 +94,52 @@ impl Merger {
     }
 }
 
-/// Merges the copies among all records, which have radii and are in the order of the curve.
+/// Merges the copies among all records if they are many. Their radii are given.
+pub(super) fn find(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
+    let Ingested { spill, survey } = ingested;
+    let stride = survey.layout.stride();
+    let partition = Partition::new(context, stride, survey.curve_keys(), survey.count, Stage::Spacing);
+    let writer = SpillWriter::new(context.spill()?, 1 << 20);
+    let mut writer = InOrder { context, writer, stride, latest: Vec::new(), copies: 0 };
+    partition.run(Region::all(&spill, survey.count), &Copy, &mut writer)?;
+    drop(spill);
+    let InOrder { writer, copies, .. } = writer;
+    let spill = writer.finish().map_err(context.io("write temporary files in"))?;
+    let sorted = Ingested { spill, survey };
+    if are_many(copies, sorted.survey.count) { merge(context, sorted) } else { Ok(sorted) }
+}
+
+/// Writes sorted records, and counts those that are equal to the one before.
+struct InOrder<'a> {
+    context: &'a Context<'a>,
+    writer: SpillWriter,
+    stride: usize,
+    latest: Vec<u8>,
+    copies: u64,
+}
+
+impl Assemble<Vec<u8>> for InOrder<'_> {
+    fn open(&mut self, _: Cell) {}
+
+    fn own(&mut self, records: Vec<u8>) -> Result<(), BuildError> {
+        for record in records.chunks_exact(self.stride) {
+            self.copies += u64::from(self.latest == record);
+            self.latest.clear();
+            self.latest.extend_from_slice(record);
+        }
+        self.writer.push(&records).map_err(self.context.io("write temporary files in"))
+    }
+
+    fn subtree(&mut self, _: Cell, records: Vec<u8>) -> Result<(), BuildError> {
+        self.own(records)
+    }
+
+    fn close(&mut self) -> Result<(), BuildError> {
+        Ok(())
+    }
+}
+
+/// Merges the copies among all records, which are in the order of the curve.
 pub(super) fn merge(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
     let Ingested { spill, survey } = ingested;
     let mut merger = Merger::new(&survey.layout, survey.weight);

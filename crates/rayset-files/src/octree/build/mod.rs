@@ -3,7 +3,8 @@
 //! [`run`] gives the overview. In order, records are
 //! - read and checked (`ingest`);
 //! - given radii, if they have none (`spacing`);
-//! - merged where they are equal, if that is many of them (`copies`);
+//! - merged where they are equal, if that is many of them (`copies`), which is first estimated
+//!   (`distinct`);
 //! - sorted into file order, in buckets that fit in memory (`partition`);
 //! - turned into runs and nodes (`subtree`), and these laid out in pages (`assemble`).
 //!
@@ -18,6 +19,7 @@ mod control;
 mod copies;
 mod curve;
 mod depths;
+mod distinct;
 mod error;
 mod ingest;
 mod neighbours;
@@ -126,6 +128,10 @@ fn build(
         let with_radius = spacing::assign_radii(context, ingested)?;
         clock.lap(Stage::Spacing);
         with_radius
+    } else if ingested.survey.may_have_copies {
+        let without_copies = copies::find(context, ingested)?;
+        clock.lap(Stage::Spacing);
+        without_copies
     } else {
         ingested
     };

@@ -13,6 +13,30 @@ pub(super) trait Pack: Sync {
     fn own(&self, records: Sorted<'_>) -> Self::Piece;
 }
 
+/// Passes records on as they are.
+pub(super) struct Copy;
+
+impl Copy {
+    fn bytes(records: Sorted<'_>) -> Vec<u8> {
+        let stride = if records.len() > 0 { records.record(0).len() } else { 0 };
+        let mut bytes = Vec::with_capacity(records.len() * stride);
+        (0..records.len()).for_each(|i| bytes.extend_from_slice(records.record(i)));
+        bytes
+    }
+}
+
+impl Pack for Copy {
+    type Piece = Vec<u8>;
+
+    fn subtree(&self, _: Cell, records: Sorted<'_>) -> Vec<u8> {
+        Self::bytes(records)
+    }
+
+    fn own(&self, records: Sorted<'_>) -> Vec<u8> {
+        Self::bytes(records)
+    }
+}
+
 /// Receives the pieces, in file order.
 pub(super) trait Assemble<P> {
     fn open(&mut self, cell: Cell);

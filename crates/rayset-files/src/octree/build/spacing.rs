@@ -18,12 +18,11 @@ use super::curve::{Boxes, Curve, GRAIN, Sketch, most_boxes};
 use super::error::BuildError;
 use super::ingest::Ingested;
 use super::partition::Partition;
-use super::pieces::{Assemble, Pack};
+use super::pieces::{Assemble, Copy};
 use super::plan::Cell;
-use super::record::{self, KeyMaker};
+use super::record;
 use super::region::Region;
-use super::sorted::Sorted;
-use super::survey::{LIMIT, Survey};
+use super::survey::LIMIT;
 use super::typical::{Measured, Typical};
 use rayset_store::spill::SpillWriter;
 
@@ -32,17 +31,11 @@ const POSITION: usize = 24;
 /// Position and radius of a record.
 const HEAD: usize = 28;
 
-/// Keys by which records are sorted along the curve. Owner cells do not matter yet: with a tiny
-/// radius, points are sorted by their Hilbert codes alone.
-pub(super) fn curve_keys(survey: &Survey) -> KeyMaker {
-    KeyMaker { root: survey.root, radius: Some(f32::MIN_POSITIVE) }
-}
-
 /// Rewrites all records, each with a radius, in the order of the curve; equal ones as one if they
 /// are many.
 pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
     let Ingested { spill, survey } = ingested;
-    let (keys, stride) = (curve_keys(&survey), survey.layout.stride());
+    let (keys, stride) = (survey.curve_keys(), survey.layout.stride());
     let partition = Partition::new(context, stride, keys, survey.count, Stage::Spacing).in_passes(2);
     let mut writer = CurveWriter {
         context,
@@ -69,30 +62,6 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
         return copies::merge(context, measured);
     }
     Ok(measured)
-}
-
-/// Passes records on as they are.
-pub(super) struct Copy;
-
-impl Copy {
-    fn bytes(records: Sorted<'_>) -> Vec<u8> {
-        let stride = if records.len() > 0 { records.record(0).len() } else { 0 };
-        let mut bytes = Vec::with_capacity(records.len() * stride);
-        (0..records.len()).for_each(|i| bytes.extend_from_slice(records.record(i)));
-        bytes
-    }
-}
-
-impl Pack for Copy {
-    type Piece = Vec<u8>;
-
-    fn subtree(&self, _: Cell, records: Sorted<'_>) -> Vec<u8> {
-        Self::bytes(records)
-    }
-
-    fn own(&self, records: Sorted<'_>) -> Vec<u8> {
-        Self::bytes(records)
-    }
 }
 
 /// Writes sorted records, each with room for a radius.

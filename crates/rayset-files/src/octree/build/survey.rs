@@ -6,6 +6,7 @@
 
 use super::columns::{Columns, radius_rule, weight_rule};
 use super::depths::Depths;
+use super::distinct::Distinct;
 use super::error::{BuildError, Quantity, Skipped};
 use super::options::{BuildOptions, InvalidPolicy, Rule};
 use super::record::{self, KeyMaker, RecordLayout};
@@ -96,6 +97,7 @@ pub(super) struct Totals {
     /// Number of valid records; the following are of these.
     pub(super) count: u64,
     pub(super) sum: RecordSum,
+    pub(super) distinct: Distinct,
     pub(super) skipped: Skipped,
     /// Finite numbers out of range: their count, and the value farthest out of range.
     pub(super) beyond: [(u64, f64); Quantity::ALL.len()],
@@ -118,6 +120,7 @@ impl Totals {
             records: 0,
             count: 0,
             sum: RecordSum::default(),
+            distinct: Distinct::default(),
             skipped: Skipped::default(),
             beyond: Quantity::ALL.map(|_| (0, 0.0)),
             bounds: Aabb::EMPTY,
@@ -131,7 +134,7 @@ impl Totals {
     /// Includes a valid record.
     pub(super) fn include(&mut self, layout: &RecordLayout, p: DVec3, record: &[u8]) {
         self.count += 1;
-        self.sum.include(record);
+        self.distinct.include(self.sum.include(record));
         self.bounds.include(p);
         if layout.has_radius {
             let radius = record::radius(record);
@@ -172,6 +175,7 @@ impl Totals {
         self.records += other.records;
         self.count += other.count;
         self.sum.merge(other.sum);
+        self.distinct.merge(&other.distinct);
         self.skipped.position += other.skipped.position;
         self.skipped.radius += other.skipped.radius;
         self.skipped.weight += other.skipped.weight;
@@ -227,6 +231,8 @@ pub(super) struct Survey {
     pub(super) identity: Identity,
     pub(super) metadata: Metadata,
     pub(super) count: u64,
+    /// Whether many records may be copies of others.
+    pub(super) may_have_copies: bool,
     pub(super) skipped: Skipped,
     pub(super) bounds: Aabb,
     pub(super) root: RootCell,
@@ -250,6 +256,7 @@ impl Survey {
             identity: totals.sum.identity(&form.pages_depend_on),
             metadata: form.metadata.clone(),
             count: totals.count,
+            may_have_copies: totals.distinct.may_have_many_copies(totals.count),
             skipped: totals.skipped,
             bounds: totals.bounds,
             root: root_cell(&totals.bounds, f64::from(radius_range.1)),
@@ -290,6 +297,23 @@ impl Survey {
     /// Whether radii are still to be measured.
     pub(super) fn measures_radii(&self) -> bool {
         self.radius.is_none() && !self.layout.has_radius
+    }
+
+    /// Whether records are first sorted along the curve: neighbours are measured there, and copies
+    /// follow each other.
+    pub(super) fn follows_curve(&self) -> bool {
+        self.measures_radii() || self.may_have_copies
+    }
+
+    /// The layout of records that have radii, where these are not one for all.
+    pub(super) fn layout_with_radii(&self) -> RecordLayout {
+        if self.measures_radii() { self.layout.with_radius() } else { self.layout.clone() }
+    }
+
+    /// The keys by which records are sorted along the curve. Owner cells do not matter yet: with a
+    /// tiny radius, points are sorted by their Hilbert codes alone.
+    pub(super) fn curve_keys(&self) -> KeyMaker {
+        KeyMaker { root: self.root, radius: Some(f32::MIN_POSITIVE) }
     }
 
     /// The keys by which records are put into file order.

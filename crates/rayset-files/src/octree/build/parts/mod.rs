@@ -117,11 +117,11 @@ impl BuildParts {
         let Some(read) = self.exchange.read(BuildStep::Read, part)? else { return Ok(Some(BuildStep::Read)) };
         job::check_request(&read, &self.request)?;
         let overview = Overview::load(&self.exchange, &self.request)?;
-        let measures = overview.survey.measures_radii();
+        let follows = overview.survey.follows_curve();
         let is_of_run = |part: &exchange::Part| part.head.run == overview.run;
-        for step in BuildStep::ALL.into_iter().skip(1).filter(|step| measures || !step.is_of_spacing()) {
+        for step in BuildStep::ALL.into_iter().skip(1).filter(|step| follows || !step.is_of_spacing()) {
             if !self.exchange.read(step, part)?.is_some_and(|part| is_of_run(&part)) {
-                if let Some(before) = step.before(measures) {
+                if let Some(before) = step.before(follows) {
                     self.exchange.read_all(before, |_| Ok(()))?;
                 }
                 return Ok(Some(step));
@@ -219,8 +219,8 @@ impl BuildParts {
         self.check_part(part)?;
         let overview = Overview::load(&self.exchange, &self.request)?;
         let job = Job::new((&self.exchange, step, part), overview, options, control)?;
-        let measures = job.overview.survey.measures_radii();
-        if (step.is_of_spacing() && !measures) || job.is_done()? {
+        let follows = job.overview.survey.follows_curve();
+        if (step.is_of_spacing() && !follows) || job.is_done()? {
             return Ok(());
         }
         match step {
@@ -228,7 +228,7 @@ impl BuildParts {
             BuildStep::SpacingScatter => scatter(&job, &spacing::curve_sorting(&job.overview.survey)),
             BuildStep::SpacingSort => spacing::sort(&job),
             BuildStep::SpacingMeasure => spacing::measure(&job),
-            BuildStep::Count if measures => spacing::count(&job, &octree_sorting(&job)?),
+            BuildStep::Count if follows => spacing::count(&job, &octree_sorting(&job)?),
             BuildStep::Count => count(&job, &octree_sorting(&job)?),
             BuildStep::Scatter => scatter(&job, &octree_sorting(&job)?),
             BuildStep::Order => order(&job),
@@ -286,19 +286,19 @@ impl BuildParts {
 /// What is known of all records when they are put into the order of the octree.
 fn octree_survey(job: &Job<'_>) -> Result<Survey, BuildError> {
     let survey = &job.overview.survey;
-    if survey.measures_radii() { spacing::settled_survey(job) } else { Ok(survey.clone()) }
+    if survey.follows_curve() { spacing::settled_survey(job) } else { Ok(survey.clone()) }
 }
 
-/// The order of the octree; of records with radii, if these were measured.
+/// The order of the octree; of records with radii and without copies, if they followed the curve.
 fn octree_sorting(job: &Job<'_>) -> Result<Sorting, BuildError> {
     let survey = &job.overview.survey;
-    let measured = if survey.measures_radii() { Some(spacing::settled_layout(job)?) } else { None };
+    let settled = if survey.follows_curve() { Some(spacing::settled_layout(job)?) } else { None };
     // Copies are merged by the step that counts.
     let records = if job.step == BuildStep::Count { survey.count } else { spacing::points(job)? };
     Ok(Sorting {
         keys: survey.keys(),
         records,
-        stride: measured.as_ref().unwrap_or(&survey.layout).stride(),
+        stride: settled.as_ref().unwrap_or(&survey.layout).stride(),
         stage: Stage::Write,
         count: BuildStep::Count,
         scatter: BuildStep::Scatter,
@@ -307,7 +307,7 @@ fn octree_sorting(job: &Job<'_>) -> Result<Sorting, BuildError> {
 
 /// The records of a part that are counted or scattered, and the step of whose data they are.
 fn records(job: &Job<'_>, sorting: &Sorting) -> Result<(Records, BuildStep), BuildError> {
-    if job.step == BuildStep::Scatter && job.overview.survey.measures_radii() {
+    if job.step == BuildStep::Scatter && job.overview.survey.follows_curve() {
         return Ok((spacing::settled_records(job, sorting.stride)?, BuildStep::Count));
     }
     let part = job.own(BuildStep::Read)?;

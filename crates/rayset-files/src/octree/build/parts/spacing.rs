@@ -1,4 +1,4 @@
-//! The steps that measure radii: a stretch of the curve is sorted, its radii are measured with the
+//! The steps that measure radii, and find copies: a stretch of the curve is sorted, its radii are measured with the
 //! neighbours in all stretches, and they are settled by what is usual in the whole cloud.
 
 use std::io::{BufReader, BufWriter, Read, Write};
@@ -8,10 +8,10 @@ use super::super::control::Stage;
 use super::super::copies::{self, Merger};
 use super::super::curve::{Boxes, Crowd, Curve, GRAIN, Sketch, most_boxes};
 use super::super::error::BuildError;
-use super::super::pieces::Assemble;
+use super::super::pieces::{Assemble, Copy};
 use super::super::plan::Cell;
 use super::super::record::{self, RecordLayout};
-use super::super::spacing::{Copy, curve_keys, stored};
+use super::super::spacing::stored;
 use super::super::survey::{Merged, NO_RANGE, Survey};
 use super::super::typical::{Measured, Typical};
 use super::divide::{self, Counted};
@@ -33,7 +33,7 @@ const POSITION: usize = 24;
 /// The order of the curve.
 pub(super) fn curve_sorting(survey: &Survey) -> Sorting {
     Sorting {
-        keys: curve_keys(survey),
+        keys: survey.curve_keys(),
         records: survey.count,
         stride: survey.layout.stride(),
         stage: Stage::Spacing,
@@ -166,8 +166,13 @@ impl Stretch {
     }
 }
 
-/// Measures the radii of the stretch of a part.
+/// Measures the radii of the stretch of a part, if they are not given.
 pub(super) fn measure(job: &Job<'_>) -> Result<(), BuildError> {
+    if !job.overview.survey.measures_radii() {
+        job.publish(None, &[])?;
+        job.exchange.remove_data(BuildStep::SpacingScatter, job.part);
+        return Ok(());
+    }
     let data = job.create_data()?;
     let destination = data.destination.clone();
     let context = job.context(&destination);
@@ -243,22 +248,23 @@ fn merges(job: &Job<'_>) -> Result<bool, BuildError> {
     Ok(copies::are_many(copies, job.overview.survey.count))
 }
 
-/// The layout of records with radii.
+/// The layout of records with radii, and without copies.
 pub(super) fn settled_layout(job: &Job<'_>) -> Result<RecordLayout, BuildError> {
-    let layout = job.overview.survey.layout.with_radius();
+    let layout = job.overview.survey.layout_with_radii();
     Ok(if merges(job)? { layout.with_weight() } else { layout })
 }
 
 /// Writes the records of a part's stretch with their radii, copies merged if they are many, and
 /// counts them by octree cells.
 pub(super) fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> {
-    let (typical, merges) = (typical(job)?, merges(job)?);
+    let typical = if job.overview.survey.measures_radii() { Some(typical(job)?) } else { None };
+    let merges = merges(job)?;
     let data = job.create_data()?;
     let destination = data.destination.clone();
     let context = job.context(&destination);
     let survey = &job.overview.survey;
     let mut counted = Counted { count: 0, sum: 0, radius_range: NO_RANGE, weight_range: NO_RANGE };
-    let mut merger = Merger::new(&survey.layout.with_radius(), survey.weight);
+    let mut merger = Merger::new(&survey.layout_with_radii(), survey.weight);
     let mut output = BufWriter::with_capacity(BUFFER_BYTES, data.writer_at(0)?);
     let pyramid = divide::pyramid(job);
     let mut whole = Vec::with_capacity(sorting.stride);
@@ -270,11 +276,13 @@ pub(super) fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> 
     };
     let mut radius_range = NO_RANGE;
     settle(job, &context, |record, measured| {
-        let radius = typical.settled(measured);
-        radius_range = (radius_range.0.min(radius), radius_range.1.max(radius));
         whole.clear();
         whole.extend_from_slice(&record[..POSITION]);
-        whole.extend_from_slice(&radius.to_le_bytes());
+        if let (Some(typical), Some(measured)) = (&typical, measured) {
+            let radius = typical.settled(measured);
+            radius_range = (radius_range.0.min(radius), radius_range.1.max(radius));
+            whole.extend_from_slice(&radius.to_le_bytes());
+        }
         whole.extend_from_slice(&record[POSITION..]);
         if merges { merger.follow(&whole, &mut write) } else { write(&whole) }
     })?;
@@ -290,23 +298,29 @@ pub(super) fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> 
     Ok(())
 }
 
-/// Passes the sorted records of a part's stretch, each with its measured radius, to `visit`.
+/// Passes the sorted records of a part's stretch to `visit`, each with its radius if that was
+/// measured.
 fn settle(
     job: &Job<'_>,
     context: &Context<'_>,
-    mut visit: impl FnMut(&[u8], f32) -> Result<(), BuildError>,
+    mut visit: impl FnMut(&[u8], Option<f32>) -> Result<(), BuildError>,
 ) -> Result<(), BuildError> {
     let (sorted, measured) = (job.own(BuildStep::SpacingSort)?, job.own(BuildStep::SpacingMeasure)?);
     let Stretch { count, sum, .. } = Stretch::of(&sorted)?;
     let stride = job.overview.survey.layout.stride();
-    if sorted.head.data_bytes != Some(count * stride as u64) || measured.head.data_bytes != Some(4 * count) {
+    let radius_bytes = if job.overview.survey.measures_radii() { 4 } else { 0 };
+    let expected = (radius_bytes > 0).then_some(4 * count);
+    if sorted.head.data_bytes != Some(count * stride as u64) || measured.head.data_bytes != expected {
         return Err(
             measured.wrong("it has not the radii of the records that were sorted; run that step again")
         );
     }
     let buffered = |file| BufReader::with_capacity(BUFFER_BYTES, file);
     let mut records = buffered(job.exchange.open_data(&sorted)?);
-    let mut radii = buffered(job.exchange.open_data(&measured)?);
+    let mut radii = match expected {
+        Some(_) => Some(buffered(job.exchange.open_data(&measured)?)),
+        None => None,
+    };
     let failed = |part: &Part| {
         let path = part.path.with_extension("data");
         move |source| BuildError::Io { action: "read", path: path.clone(), source }
@@ -318,16 +332,20 @@ fn settle(
         context.progress(Stage::Write, first, count);
         let length = (count - first).min(CHUNK_RECORDS as u64) as usize;
         some.resize(length * stride, 0);
-        their_radii.resize(length * 4, 0);
+        their_radii.resize(length * radius_bytes, 0);
         records.read_exact(&mut some).map_err(failed(&sorted))?;
-        radii.read_exact(&mut their_radii).map_err(failed(&measured))?;
+        if let Some(radii) = &mut radii {
+            radii.read_exact(&mut their_radii).map_err(failed(&measured))?;
+        }
         found_checksum = crc32c::crc32c_append(found_checksum, &their_radii);
-        for (record, radius) in some.chunks_exact(stride).zip(their_radii.chunks_exact(4)) {
+        for (i, record) in some.chunks_exact(stride).enumerate() {
             found_sum = found_sum.wrapping_add(record_hash(record));
-            visit(record, record::float(radius, 0))?;
+            let radius = (radius_bytes > 0).then(|| record::float(&their_radii, 4 * i));
+            visit(record, radius)?;
         }
     }
-    if found_sum != sum || found_checksum != self::radii(&measured)?.0 {
+    let is_whole = expected.is_none() || found_checksum == self::radii(&measured)?.0;
+    if found_sum != sum || !is_whole {
         return Err(
             measured.wrong("its data or those that were sorted are damaged: begin again in another folder")
         );
@@ -353,12 +371,13 @@ pub(super) fn settled_survey(job: &Job<'_>) -> Result<Survey, BuildError> {
         merged.points = merged.points.saturating_add(counted.count);
         Ok(())
     })?;
-    let survey = job.overview.survey.clone().with_measured_radii(radii);
+    let survey = job.overview.survey.clone();
+    let survey = if survey.measures_radii() { survey.with_measured_radii(radii) } else { survey };
     Ok(if merges(job)? { survey.with_merged_copies(merged) } else { survey })
 }
 
 /// The number of points that are in the octree.
 pub(super) fn points(job: &Job<'_>) -> Result<u64, BuildError> {
     let survey = &job.overview.survey;
-    if survey.measures_radii() && merges(job)? { Ok(settled_survey(job)?.count) } else { Ok(survey.count) }
+    if survey.follows_curve() && merges(job)? { Ok(settled_survey(job)?.count) } else { Ok(survey.count) }
 }

@@ -8,8 +8,8 @@ use rayset_base::parse::ParseError;
 /// A step of a build in parts: all parts of one step are done, in any order or at once, before any
 /// of the next begins.
 ///
-/// The steps of spacing are for radii that are measured; where radii are given, they have nothing
-/// to do.
+/// The steps of spacing are for radii that are measured, and for points of which many seem to be
+/// copies of others. Otherwise they have nothing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum BuildStep {
@@ -59,16 +59,16 @@ impl BuildStep {
         }
     }
 
-    /// Whether the step is for radii that are measured.
+    /// Whether the step is for radii that are measured, or for copies.
     #[must_use]
     pub fn is_of_spacing(self) -> bool {
         matches!(self, Self::SpacingCount | Self::SpacingScatter | Self::SpacingSort | Self::SpacingMeasure)
     }
 
     /// The step whose parts must all be done before this one.
-    pub(super) fn before(self, measures_radii: bool) -> Option<Self> {
+    pub(super) fn before(self, follows_curve: bool) -> Option<Self> {
         let steps = Self::ALL.into_iter().take_while(|step| *step != self);
-        steps.filter(|step| measures_radii || !step.is_of_spacing()).last()
+        steps.filter(|step| follows_curve || !step.is_of_spacing()).last()
     }
 }
 

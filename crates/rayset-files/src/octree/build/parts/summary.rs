@@ -2,6 +2,7 @@
 //! that they stay what they are.
 
 use super::super::depths::{ColorValues, Depths};
+use super::super::distinct::Distinct;
 use super::super::error::Skipped;
 use super::super::options::{BuildOptions, InvalidPolicy, Precision};
 use super::super::record::RecordLayout;
@@ -63,6 +64,8 @@ struct StoredTotals {
     records: u64,
     count: u64,
     sum: [u64; 3],
+    /// [`Distinct::to_text`].
+    distinct: String,
     skipped: [u64; 3],
     beyond: [(u64, u64); 4],
     bounds: [u64; 6],
@@ -220,6 +223,7 @@ impl StoredTotals {
             records: totals.records,
             count: totals.count,
             sum: totals.sum.to_words(),
+            distinct: totals.distinct.to_text(),
             skipped: [totals.skipped.position, totals.skipped.radius, totals.skipped.weight],
             beyond: totals.beyond.map(|(count, farthest)| (count, farthest.to_bits())),
             bounds: [min[0], min[1], min[2], max[0], max[1], max[2]].map(f64::to_bits),
@@ -240,6 +244,7 @@ impl StoredTotals {
             records: self.records,
             count: self.count,
             sum: RecordSum::from_words(self.sum),
+            distinct: Distinct::from_text(&self.distinct),
             skipped: Skipped { position, radius, weight },
             beyond: self.beyond.map(|(count, farthest)| (count, f64::from_bits(farthest))),
             bounds: Aabb { min: DVec3::new(a, b, c), max: DVec3::new(d, e, f) },
