@@ -96,7 +96,7 @@ impl Splatter {
         if let [item] = runs
             && item.run.wide.is_some()
         {
-            return splat_wide::<G>(self.kernel, &item.run, &mut job);
+            return splat_wide::<G>(self.kernel, self.simd, &item.run, &mut job);
         }
         dispatch!(self.simd.level(), simd => splat_runs::<_, K, G, A>(simd, runs, &mut job))
     }

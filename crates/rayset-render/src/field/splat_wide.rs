@@ -1,15 +1,19 @@
-//! Splats runs whose points are small compared with the extent of the run, in `f64`: slow, but
-//! rarely needed.
+//! Splats runs whose points are small compared with the extent of the run, in `f64`: runs of sparse
+//! clouds, most of whose points no ray of a packet meets.
 
 use super::counts::SplatCounts;
 use super::kernel::Kernel;
+use super::packet::LANES;
 use super::run::DecodedRun;
 use super::samples::SplatJob;
+use super::simd::{SimdLevel, dispatch};
 
-/// Adds such a run, one pair of ray and point at a time.
+/// Adds such a run, point by point: each is tested against all rays together, and added to those
+/// that pass it, one by one.
 #[inline(never)]
 pub(super) fn splat_wide<const GRADIENT: bool>(
     kernel: Kernel,
+    simd: SimdLevel,
     run: &DecodedRun,
     job: &mut SplatJob<'_>,
 ) -> SplatCounts {
@@ -17,22 +21,22 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
     let Some(wide) = &run.wide else { return counts };
     let (packet, slab) = (job.packet, job.slab);
     let center = run.center.to_array();
-    let mut lanes = job.lanes;
-    while lanes != 0 {
-        let lane = lanes.trailing_zeros() as usize;
-        lanes &= lanes - 1;
-        let d: [f64; 3] = std::array::from_fn(|axis| packet.direction[axis][lane]);
-        let o: [f64; 3] = std::array::from_fn(|axis| packet.origin[axis][lane] - center[axis]);
-        counts.pairs_tested += run.len as u64;
-        for i in 0..run.len {
-            let c: [f64; 3] = std::array::from_fn(|axis| wide.position[axis][i] - o[axis]);
+    let origin: [[f64; LANES]; 3] =
+        std::array::from_fn(|axis| packet.origin[axis].map(|origin| origin - center[axis]));
+    counts.pairs_tested += u64::from(job.lanes.count_ones()) * run.len as u64;
+    for i in 0..run.len {
+        let position: [f64; 3] = std::array::from_fn(|axis| wide.position[axis][i]);
+        let inverse = wide.inverse_radius[i] * wide.inverse_radius[i];
+        let rays = (&origin, &packet.direction);
+        let mut lanes = job.lanes & dispatch!(simd.level(), _simd => lanes_near(rays, position, inverse));
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            let d: [f64; 3] = std::array::from_fn(|axis| packet.direction[axis][lane]);
+            let c: [f64; 3] = std::array::from_fn(|axis| position[axis] - origin[axis][lane]);
             let nearest = c[0] * d[0] + c[1] * d[1] + c[2] * d[2];
             let across: [f64; 3] = std::array::from_fn(|axis| c[axis] - nearest * d[axis]);
             let distance_squared = across[0] * across[0] + across[1] * across[1] + across[2] * across[2];
-            let inverse = wide.inverse_radius[i] * wide.inverse_radius[i];
-            if distance_squared * inverse >= 1.0 {
-                continue;
-            }
             let half = (1.0 / inverse - distance_squared).max(0.0).sqrt();
             // The samples in reach, with one to spare on either side. Casts to integers round
             // toward 0, and negative numbers become 0.
@@ -66,4 +70,25 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
         }
     }
     counts
+}
+
+/// The lanes of the rays that pass a point within its radius.
+// Loops: the compiler makes vectors of them, with the same bits at every level of instructions.
+#[inline(always)]
+fn lanes_near(
+    (origin, direction): (&[[f64; LANES]; 3], &[[f64; LANES]; 3]),
+    position: [f64; 3],
+    inverse_squared: f64,
+) -> u64 {
+    let mut near = 0;
+    for lane in 0..LANES {
+        let [dx, dy, dz] = [direction[0][lane], direction[1][lane], direction[2][lane]];
+        let (x, y, z) =
+            (position[0] - origin[0][lane], position[1] - origin[1][lane], position[2] - origin[2][lane]);
+        let nearest = x * dx + y * dy + z * dz;
+        let (x, y, z) = (x - nearest * dx, y - nearest * dy, z - nearest * dz);
+        let is_far = (x * x + y * y + z * z) * inverse_squared >= 1.0;
+        near |= u64::from(!is_far) << lane;
+    }
+    near
 }

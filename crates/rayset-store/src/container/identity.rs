@@ -112,7 +112,7 @@ mod tests {
     fn the_order_of_records_makes_no_other_identity_and_everything_else_does() {
         let of = |records: &[&[u8]], options: &str| {
             let mut sum = RecordSum::default();
-            records.iter().for_each(|r| sum.include(r));
+            records.iter().for_each(|r| _ = sum.include(r));
             sum.identity(options)
         };
         let identity = of(&[b"a", b"b", b"b"], "radius 1");

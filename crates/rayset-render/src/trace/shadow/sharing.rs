@@ -142,7 +142,7 @@ mod tests {
                 }
                 for j in (run * 8..run * 8 + 8).filter(|&j| shares[j] > 0.0) {
                     prop_assert!(shadows[j] >= (run * 8) as f32 && shadows[j] <= j as f32);
-                    let before = (run * 8..j).filter(|&k| shares[k] > 0.0).last();
+                    let before = (run * 8..j).rev().find(|&k| shares[k] > 0.0);
                     if let Some(before) = before.filter(|_| shadows[j] == j as f32) {
                         let others = (run * 8..j).filter(|&k| k as f32 != shadows[before] && shadows[k] == shadows[before]);
                         let taken = others.map(|k| shares[k]).sum::<f32>() + shares[j];
