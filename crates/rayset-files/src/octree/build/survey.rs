@@ -301,11 +301,13 @@ impl Survey {
 
     /// Whether records are first sorted along the curve: neighbours are measured there, and copies
     /// follow each other.
+    #[cfg(feature = "parts")]
     pub(super) fn follows_curve(&self) -> bool {
         self.measures_radii() || self.may_have_copies
     }
 
     /// The layout of records that have radii, where these are not one for all.
+    #[cfg(feature = "parts")]
     pub(super) fn layout_with_radii(&self) -> RecordLayout {
         if self.measures_radii() { self.layout.with_radius() } else { self.layout.clone() }
     }
