@@ -1,6 +1,6 @@
 //! The steps that measure radii and find copies: a stretch of the curve is sorted, its radii are
-//! measured with the neighbours in all stretches, and they are settled by what is usual in the whole
-//! cloud.
+//! measured with the neighbours in all stretches, and they are settled by what is usual in the
+//! whole cloud.
 
 use std::io::{BufReader, BufWriter, Read, Write};
 
