@@ -133,7 +133,8 @@ impl<'a> PacketTracer<'a> {
     fn generation(&mut self, access: Access<'_>, tree: &mut RayTree) -> Result<(), Halt> {
         let known = tree.following();
         // Only rays from the eye have layers.
-        let layers_before = self.layers.clone().filter(|_| tree.generation()[0].ray.is_primary());
+        let are_primary = tree.generation().first().is_some_and(|first| first.ray.is_primary());
+        let layers_before = self.layers.as_ref().filter(|_| are_primary).cloned();
         while self.attempt(access, tree)? == Traced::TooMany {
             if layers_before.is_some() {
                 self.layers.clone_from(&layers_before);
