@@ -102,8 +102,9 @@ impl AttributeColumns {
 pub struct RunDecoder {
     pub(super) root: RootCell,
     radius: Option<f32>,
+    /// Normalised, if kernels are and all radii are the same.
     weight: Option<f32>,
-    /// 1/∫ω dV over the unit ball if kernels are normalised.
+    /// 1/∫ω dV over the unit ball if weights are to be normalised yet.
     normalisation: Option<f64>,
     columns: AttributeColumns,
     linear_from_srgb: Box<[f32; 256]>,
@@ -113,11 +114,19 @@ impl RunDecoder {
     /// A decoder for the runs of a cloud.
     #[must_use]
     pub fn new(header: &Header, kernel: Kernel, normalised: bool, columns: AttributeColumns) -> Self {
+        let radius = (!header.radius.is_stored()).then(|| header.radius.min());
+        let mut weight = (!header.weight.is_stored()).then(|| header.weight.min());
+        let mut normalisation = normalised.then(|| 1.0 / kernel.integral());
+        if let (Some(radius), Some(weight)) = (radius, &mut weight)
+            && let Some(factor) = normalisation.take()
+        {
+            *weight = normalised_weight(*weight, factor, 1.0 / radius);
+        }
         Self {
             root: header.root_cell(),
-            radius: (!header.radius.is_stored()).then(|| header.radius.min()),
-            weight: (!header.weight.is_stored()).then(|| header.weight.min()),
-            normalisation: normalised.then(|| 1.0 / kernel.integral()),
+            radius,
+            weight,
+            normalisation,
             columns,
             linear_from_srgb: Box::new(std::array::from_fn(|i| linear_from_srgb(i as f64 / 255.0) as f32)),
         }
@@ -192,8 +201,7 @@ impl RunDecoder {
         }
         if let Some(factor) = self.normalisation {
             for (w, inverse) in out.points.weight[..n].iter_mut().zip(&out.points.inverse_radius) {
-                // Clamped so that it fits an `f32`; larger weights make no difference to a picture.
-                *w = (f64::from(*w) * factor * f64::from(*inverse).powi(3)).clamp(-1e30, 1e30) as f32;
+                *w = normalised_weight(*w, factor, *inverse);
             }
         }
     }
@@ -226,6 +234,13 @@ impl RunDecoder {
             decode_attribute(run, header, number, column);
         }
     }
+}
+
+/// A weight divided by the integral of its kernel, clamped so that it fits an `f32`: larger weights
+/// make no difference to a picture.
+#[inline(always)]
+fn normalised_weight(weight: f32, factor: f64, inverse_radius: f32) -> f32 {
+    (f64::from(weight) * factor * f64::from(inverse_radius).powi(3)).clamp(-1e30, 1e30) as f32
 }
 
 /// Whether points within bounds of a longest edge need double precision, with their largest and

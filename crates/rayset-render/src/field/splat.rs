@@ -109,15 +109,14 @@ fn splat_runs<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
     job: &mut SplatJob<'_>,
 ) -> SplatCounts {
     let mut counts = SplatCounts::default();
-    // For each block of each ray, a bit for each run that may reach it.
-    let mut reaching = [[0_u32; LANES]; BLOCKS];
+    let mut reaching = [Reaching::default(); LANES];
     let mut lanes = 0;
     for (number, item) in runs.iter().enumerate() {
         for block in 0..BLOCKS {
             let mut meets = item.frames.meets[block] & job.lanes;
             lanes |= meets;
             while meets != 0 {
-                reaching[block][meets.trailing_zeros() as usize & (LANES - 1)] |= 1 << number;
+                reaching[meets.trailing_zeros() as usize & (LANES - 1)].add(block, number);
                 meets &= meets - 1;
             }
         }
@@ -131,8 +130,7 @@ fn splat_runs<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
             splat_lane::<S, K, GRADIENT, ATTRIBUTES>(
                 simd,
                 runs,
-                &reaching,
-                lane,
+                (lane, reaching[lane]),
                 &mut group,
                 job,
                 &mut counts,
@@ -203,14 +201,37 @@ fn points_near<S: Simd>(simd: S, item: &mut BatchedRun, packet: &Packet, first: 
     )
 }
 
-/// Adds runs to the samples of one ray, block by block, as far as the ray goes. `reaching`: for
-/// each block and lane, a bit for each run that may reach it.
+/// The runs that may reach each block of a ray: a byte for each block, with a bit for each run.
+#[derive(Clone, Copy, Default)]
+struct Reaching(u32);
+
+impl Reaching {
+    #[inline(always)]
+    fn add(&mut self, block: usize, number: usize) {
+        self.0 |= 1 << (MOST_RUNS * block + number);
+    }
+
+    /// Those that may reach a block, a bit for each.
+    #[inline(always)]
+    fn block(self, block: usize) -> u32 {
+        self.0 >> (MOST_RUNS * block) & 0xff
+    }
+
+    /// The blocks that a run may reach, one behind the other from a given one on, which is one of
+    /// them.
+    #[inline(always)]
+    fn blocks_from(self, first: usize, number: usize) -> BlockRange {
+        let others = !(self.0 >> (MOST_RUNS * first + number)) & 0x0101_0101;
+        BlockRange { first, end: first + others.trailing_zeros() as usize / MOST_RUNS }
+    }
+}
+
+/// Adds runs to the samples of one ray, block by block, as far as the ray goes.
 #[inline(always)]
 fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
     simd: S,
     runs: &mut [Box<BatchedRun>],
-    reaching: &[[u32; LANES]; BLOCKS],
-    lane: usize,
+    (lane, reaching): (usize, Reaching),
     group: &mut Group,
     job: &mut SplatJob<'_>,
     counts: &mut SplatCounts,
@@ -221,7 +242,7 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
     for block in 0..BLOCKS {
         let place = SampleBlock { lane, block };
         let (mut sums, mut begun) = (Sums::<S, GRADIENT, ATTRIBUTES>::zero(simd), false);
-        let mut here = reaching[block][lane] & !group.empty;
+        let mut here = reaching.block(block) & !group.empty;
         while here != 0 {
             let number = here.trailing_zeros() as usize;
             here &= here - 1;
@@ -229,7 +250,7 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
             let ray = LaneRay::new(job.packet, &item.frames, lane);
             if tested >> number & 1 == 0 {
                 tested |= 1 << number;
-                let blocks = blocks_from(reaching, place, number);
+                let blocks = reaching.blocks_from(block, number);
                 let chunks = group.look_up(simd, number, item, job.packet, &ray);
                 counts.pairs_tested += u64::from(chunks.count_ones());
                 let BatchedRun { run, near, pairs, .. } = item;
@@ -267,18 +288,4 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
     }
 }
 
-/// The blocks of a lane that a run reaches, one behind the other from a given one on.
-#[inline(always)]
-fn blocks_from(
-    reaching: &[[u32; LANES]; BLOCKS],
-    SampleBlock { lane, block }: SampleBlock,
-    number: usize,
-) -> BlockRange {
-    let mut blocks = BlockRange { first: block, end: block + 1 };
-    while blocks.end < BLOCKS && reaching[blocks.end][lane] >> number & 1 == 1 {
-        blocks.end += 1;
-    }
-    blocks
-}
-
-const _: () = assert!(GROUP == 16 && BLOCKS * BLOCK_SAMPLES == SLAB_SAMPLES && MOST_RUNS <= 32);
+const _: () = assert!(GROUP == 16 && BLOCKS * BLOCK_SAMPLES == SLAB_SAMPLES && MOST_RUNS == 8 && BLOCKS == 4);

@@ -5,7 +5,7 @@ use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
 use super::cloud::Remaining;
-use super::math::{absorbed, ln};
+use super::math::{absorbed_of_eight, ln};
 use super::node_samples::{NodeSamples, Rows, each_lane};
 use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab, dispatch};
 
@@ -144,15 +144,13 @@ fn taken<S: Simd>(simd: S, mut lanes: u64, optical_depth: &Rows, step_units: f32
         let mut bits = 0;
         for block in 0..SLAB_SAMPLES / BLOCK_SAMPLES {
             let at = block * BLOCK_SAMPLES..(block + 1) * BLOCK_SAMPLES;
-            let depth = &optical_depth[lane].0[at.clone()];
-            if f32x8::from_slice(simd, depth).simd_gt(0.0).to_bitmask() == 0 {
+            let depth = f32x8::from_slice(simd, &optical_depth[lane].0[at.clone()]);
+            if depth.simd_gt(0.0).to_bitmask() == 0 {
                 continue;
             }
-            let taken = &mut shares.share[lane].0[at.clone()];
-            for (a, &t) in taken.iter_mut().zip(depth) {
-                *a = absorbed(t * step_units);
-            }
-            bits |= (f32x8::from_slice(simd, taken).simd_gt(0.0).to_bitmask() as u32) << at.start;
+            let taken = absorbed_of_eight(simd, depth * step_units);
+            taken.store_slice(&mut shares.share[lane].0[at.clone()]);
+            bits |= (taken.simd_gt(0.0).to_bitmask() as u32) << at.start;
         }
         shares.samples[lane] = bits;
     }
