@@ -31,6 +31,9 @@ pub struct Crossing {
     pub enter_near: [f32; LANES],
     /// Distance at which each ray of `near` leaves the margin.
     pub exit_near: [f32; LANES],
+    /// Least distance at which a ray of `near` comes within the margin, and the largest at which one
+    /// leaves it.
+    pub span_near: (f32, f32),
     /// Distance at which each ray of `through` leaves the box.
     pub exit: [f32; LANES],
     /// Length of each ray of `through` inside the box.
@@ -85,12 +88,14 @@ impl RayColumns {
             through: 0,
             enter_near: [0.0; LANES],
             exit_near: [0.0; LANES],
+            span_near: (f32::INFINITY, 0.0),
             exit: [0.0; LANES],
             length: [0.0; LANES],
         };
+        let (zero, infinity) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, f32::INFINITY));
+        let (mut first_near, mut last_near) = (infinity, zero);
         for chunk in 0..LANES / 16 {
             let range = 16 * chunk..16 * chunk + 16;
-            let (zero, infinity) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, f32::INFINITY));
             let (mut enter, mut exit) = (zero, infinity);
             let (mut enter_near, mut exit_near) = (zero, infinity);
             for axis in 0..3 {
@@ -101,13 +106,17 @@ impl RayColumns {
                 (enter, exit) = (enter.max(first), exit.min(last));
                 (enter_near, exit_near) = (enter_near.max(first - more), exit_near.min(last + more));
             }
-            crossing.near |= enter_near.simd_le(exit_near).to_bitmask() << (16 * chunk);
+            let near = enter_near.simd_le(exit_near);
+            crossing.near |= near.to_bitmask() << (16 * chunk);
+            first_near = first_near.min(near.select(enter_near, infinity));
+            last_near = last_near.max(near.select(exit_near, zero));
             crossing.through |= enter.simd_le(exit).to_bitmask() << (16 * chunk);
             enter_near.store_slice(&mut crossing.enter_near[range.clone()]);
             exit_near.store_slice(&mut crossing.exit_near[range.clone()]);
             exit.store_slice(&mut crossing.exit[range.clone()]);
             (exit - enter).store_slice(&mut crossing.length[range]);
         }
+        crossing.span_near = (first_near.reduce_min(), last_near.reduce_max());
         crossing
     }
 }

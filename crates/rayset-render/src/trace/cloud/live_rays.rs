@@ -47,16 +47,10 @@ impl RaySet {
         if crossing.near == 0 {
             return None;
         }
-        let (mut enter, mut exit) = (f32::INFINITY, 0.0_f32);
-        let mut near = crossing.near;
-        while near != 0 {
-            let lane = near.trailing_zeros() as usize;
-            near &= near - 1;
-            (enter, exit) = (enter.min(crossing.enter_near[lane]), exit.max(crossing.exit_near[lane]));
-        }
         // A slack of two ticks, as for the beam; what single precision loses is in the margin of
         // the test.
         let (least, most) = self.ticks;
+        let (enter, exit) = crossing.span_near;
         let enter = f64::from(enter) * (1.0 - 1e-5) / most - 2.0;
         let exit = f64::from(exit) * (1.0 + 1e-5) / least + 2.0;
         let (first, last) = (first.max(enter.max(0.0) as u64), last.min(exit as u64));
