@@ -17,6 +17,9 @@ pub(super) struct LocalRays {
     simd: SimdLevel,
 }
 
+/// Lanes that are clipped together, or not at all.
+const TOGETHER: usize = 16;
+
 /// The rays by columns; unused ones repeat the last.
 struct Columns {
     origin: [[f64; LANES]; 3],
@@ -68,21 +71,28 @@ impl LocalRays {
 // with the same bits.
 #[inline(always)]
 fn clip(rays: &Columns, bounds: &Aabb, clipped: &mut Clipped) {
-    let Clipped { lanes, enter, exit } = clipped;
-    for axis in 0..3 {
-        let (low, high) = (bounds.min[axis], bounds.max[axis]);
-        let (origin, inverse) = (&rays.origin[axis], &rays.inverse[axis]);
-        for lane in 0..LANES {
-            let a = (low - origin[lane]) * inverse[lane];
-            let b = (high - origin[lane]) * inverse[lane];
-            let (first, last) = if a < b { (a, b) } else { (b, a) };
-            enter[lane] = if first > enter[lane] { first } else { enter[lane] };
-            exit[lane] = if last < exit[lane] { last } else { exit[lane] };
+    let mut inside = 0;
+    for first in (0..LANES).step_by(TOGETHER) {
+        if clipped.lanes >> first & ((1 << TOGETHER) - 1) == 0 {
+            continue;
+        }
+        let enter = &mut clipped.enter[first..first + TOGETHER];
+        let exit = &mut clipped.exit[first..first + TOGETHER];
+        for axis in 0..3 {
+            let (low, high) = (bounds.min[axis], bounds.max[axis]);
+            let origin = &rays.origin[axis][first..first + TOGETHER];
+            let inverse = &rays.inverse[axis][first..first + TOGETHER];
+            for lane in 0..TOGETHER {
+                let a = (low - origin[lane]) * inverse[lane];
+                let b = (high - origin[lane]) * inverse[lane];
+                let (near, far) = if a < b { (a, b) } else { (b, a) };
+                enter[lane] = if near > enter[lane] { near } else { enter[lane] };
+                exit[lane] = if far < exit[lane] { far } else { exit[lane] };
+            }
+        }
+        for lane in 0..TOGETHER {
+            inside |= u64::from(enter[lane] <= exit[lane]) << (first + lane);
         }
     }
-    let mut inside = 0;
-    for lane in 0..LANES {
-        inside |= u64::from(enter[lane] <= exit[lane]) << lane;
-    }
-    *lanes &= inside;
+    clipped.lanes &= inside;
 }
