@@ -298,7 +298,7 @@ impl Meeting<'_> {
             least = least.min(radius);
         }
         let bounds = bounds.intersection(*of_node);
-        if bounds.is_empty() {
+        if bounds.is_empty() || self.rays.beam.span(&bounds).is_none() {
             return;
         }
         let (least, near) = (f64::from(least), self.rays.clip(&bounds, near));
