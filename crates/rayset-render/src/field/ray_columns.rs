@@ -20,6 +20,21 @@ pub struct RayColumns {
     spread: f64,
 }
 
+/// Some of the rays in columns: where each begins, which for others is nowhere.
+#[derive(Clone, Debug)]
+pub struct ChosenRays {
+    begin: [f32; LANES],
+}
+
+impl ChosenRays {
+    /// Those of some lanes.
+    #[must_use]
+    pub fn new(lanes: u64) -> Self {
+        let begin = |lane| if lanes >> lane & 1 == 1 { 0.0 } else { f32::INFINITY };
+        Self { begin: std::array::from_fn(begin) }
+    }
+}
+
 /// Which rays meet a box, and where.
 #[derive(Clone, Copy, Debug)]
 pub struct Crossing {
@@ -69,20 +84,27 @@ impl RayColumns {
         columns
     }
 
-    /// Tests the rays against a box and against the box enlarged by `margin_world`. Every ray that
-    /// meets the box is among those near it, even with a margin of 0.
+    /// Tests some of the rays against a box and against the box enlarged by `margin_world`. Every one
+    /// of them that meets the box is among those near it, even with a margin of 0.
     #[must_use]
-    pub fn cross(&self, bounds: &Aabb, margin_world: f64) -> Crossing {
+    pub fn cross(&self, bounds: &Aabb, margin_world: f64, chosen: &ChosenRays) -> Crossing {
         let (low, high) = (bounds.min - self.base, bounds.max - self.base);
         // Far larger than the rounding error of coordinates and of the test in single precision.
         let farthest = low.abs().max(high.abs()).max_element() + self.spread;
         let margin = margin_world + 1e-6 * farthest;
         let narrow = |v: DVec3| v.to_array().map(|v| v as f32);
-        dispatch!(self.simd.level(), simd => self.cross_with(simd, narrow(low), narrow(high), margin as f32))
+        let (low, high) = (narrow(low), narrow(high));
+        dispatch!(self.simd.level(), simd => self.cross_with(simd, (low, high), margin as f32, chosen))
     }
 
     #[inline(always)]
-    fn cross_with<S: Simd>(&self, simd: S, low: [f32; 3], high: [f32; 3], margin: f32) -> Crossing {
+    fn cross_with<S: Simd>(
+        &self,
+        simd: S,
+        (low, high): ([f32; 3], [f32; 3]),
+        margin: f32,
+        chosen: &ChosenRays,
+    ) -> Crossing {
         let mut crossing = Crossing {
             near: 0,
             through: 0,
@@ -96,8 +118,10 @@ impl RayColumns {
         let (mut first_near, mut last_near) = (infinity, zero);
         for chunk in 0..LANES / 16 {
             let range = 16 * chunk..16 * chunk + 16;
-            let (mut enter, mut exit) = (zero, infinity);
-            let (mut enter_near, mut exit_near) = (zero, infinity);
+            let begin = f32x16::from_slice(simd, &chosen.begin[range.clone()]);
+            // Who begins nowhere leaves everything before.
+            let (mut enter, mut exit) = (begin, infinity);
+            let (mut enter_near, mut exit_near) = (begin, infinity);
             for axis in 0..3 {
                 let origin = f32x16::from_slice(simd, &self.origin[axis][range.clone()]);
                 let inverse = f32x16::from_slice(simd, &self.inverse_direction[axis][range.clone()]);
@@ -132,11 +156,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_ray_that_meets_a_box_is_near_it(
+        fn every_chosen_ray_that_meets_a_box_is_near_it_and_no_other_is(
             far_off in prop::sample::select(vec![0.0, 1e7]),
             rays in prop::collection::vec((vector(2.0), vector(1.0)), 1..LANES),
             corner in vector(3.0),
             size in prop::array::uniform3(0.0_f64..1.0),
+            lanes in prop::sample::select(vec![u64::MAX, 0x5555_5555_5555_5555, 0x0f, 0]),
         ) {
             let place = DVec3::splat(far_off);
             let bounds = Aabb::new(corner + place, corner + place + DVec3::from_array(size));
@@ -145,10 +170,17 @@ mod tests {
                 .map(|(o, d)| Ray { origin: o + place, direction: d.try_normalize().unwrap_or(DVec3::X) })
                 .collect();
             for simd in SimdLevel::available() {
-                let crossing = RayColumns::new(simd, rays.iter().copied()).cross(&bounds, 0.0);
-                for (lane, ray) in rays.iter().enumerate() {
+                let columns = RayColumns::new(simd, rays.iter().copied());
+                let crossing = columns.cross(&bounds, 0.0, &ChosenRays::new(lanes));
+                prop_assert!(crossing.near & !lanes == 0 && crossing.through & !lanes == 0);
+                for (lane, ray) in rays.iter().enumerate().filter(|(lane, _)| lanes >> lane & 1 == 1) {
                     prop_assert!(bounds.clip(ray).is_none() || crossing.near >> lane & 1 == 1, "{ray:?}");
                 }
+                let near = (0..LANES).filter(|lane| crossing.near >> lane & 1 == 1);
+                let span = near.fold((f32::INFINITY, 0.0_f32), |(enter, exit), lane| {
+                    (enter.min(crossing.enter_near[lane]), exit.max(crossing.exit_near[lane]))
+                });
+                prop_assert_eq!(crossing.span_near, span);
             }
         }
     }

@@ -254,7 +254,7 @@ impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
         let bounds = node.bounds(cloud.root_cell);
         // Rays that met it may have ended since.
         let Some(range) = rays.ticks_in(packet, &bounds) else { return Ok(Visit::Skip) };
-        if rays.misses_now(&bounds, range) {
+        if rays.misses_now(packet, &bounds, range) {
             let end = self.slab.end_tick();
             match self.entry {
                 Some((first, entry)) if rays.some_wait() => self.aside.push((first, entry)),
@@ -341,13 +341,12 @@ fn ranges_of_points(
         radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
     }
     let positions = run.positions(cloud.root_cell);
-    // Between the rays of a packet there may be any number of points that no ray meets.
-    let going = rays.ray_by_ray();
     let mut ranges: Vec<(u64, u64)> = (positions.iter().zip(&radii))
         .filter_map(|(&position, &radius)| {
             // Far larger than the rounding error when a point is added to samples.
             let reach = f64::from(radius) * (1.0 + 1e-4);
-            going.ticks_in(packet, &Aabb::new(position - reach, position + reach))
+            // Between the rays of a packet there may be any number of points that no ray meets.
+            rays.ticks_of_each(packet, &Aabb::new(position - reach, position + reach))
         })
         .collect();
     ranges.sort_unstable();

@@ -3,7 +3,7 @@
 
 use std::cell::OnceCell;
 
-use crate::field::{LANES, Packet, RayColumns, SimdLevel, Slab};
+use crate::field::{ChosenRays, Packet, RayColumns, SimdLevel, Slab};
 use crate::trace::node_samples::{Live, each_lane};
 use rayset_base::geometry::{Aabb, Beam};
 
@@ -11,39 +11,38 @@ use rayset_base::geometry::{Aabb, Beam};
 const MOST_SPREAD: f64 = 0.25;
 
 /// A set of rays of a packet.
-pub(super) struct RaySet {
+struct RaySet {
     lanes: u64,
     beam: Beam,
     /// Whether the rays are tested individually against every box: the set is incomplete or its
     /// directions diverge, and their common bound may contain much that no ray meets.
     apart: bool,
-    /// The rays individually, once they have been needed.
-    each: OnceCell<RayColumns>,
+    chosen: ChosenRays,
     /// The shortest and the longest tick of these rays.
     ticks: (f64, f64),
-    simd: SimdLevel,
 }
 
 impl RaySet {
-    fn new(packet: &Packet, lanes: u64, simd: SimdLevel) -> Self {
+    fn new(packet: &Packet, lanes: u64) -> Self {
         let beam = packet.beam(lanes);
         let apart = lanes != packet.all() || beam.spread() > MOST_SPREAD;
-        Self { lanes, beam, apart, each: OnceCell::new(), ticks: packet.tick_range(lanes), simd }
+        Self { lanes, beam, apart, chosen: ChosenRays::new(lanes), ticks: packet.tick_range(lanes) }
     }
 
-    /// The same rays, tested individually.
-    fn ray_by_ray(&self) -> Self {
-        Self { apart: true, each: self.each.clone(), ..*self }
-    }
-
-    /// The ticks of samples that may lie in a box, or `None` if there are none.
-    pub(super) fn ticks_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
+    /// The ticks of samples that may lie in a box, or `None` if there are none. `each`: all rays of
+    /// the packet, if they are to be tested individually.
+    fn ticks_in<'c>(
+        &self,
+        packet: &Packet,
+        bounds: &Aabb,
+        each: impl FnOnce() -> &'c RayColumns,
+        apart: bool,
+    ) -> Option<(u64, u64)> {
         let (first, last) = packet.ticks_in(&self.beam, bounds)?;
-        if self.lanes == 0 || !self.apart && !self.may_pass_between(packet, bounds, first) {
+        if self.lanes == 0 || !apart && !self.may_pass_between(packet, bounds, first) {
             return Some((first, last));
         }
-        let each = self.each.get_or_init(|| RayColumns::new(self.simd, packet.rays(self.lanes)));
-        let crossing = each.cross(bounds, 0.0);
+        let crossing = each().cross(bounds, 0.0, &self.chosen);
         if crossing.near == 0 {
             return None;
         }
@@ -76,46 +75,43 @@ struct LiveSamples {
 /// Some rays of a packet, tested individually.
 struct SomeRays {
     mask: u64,
-    lanes: Vec<u8>,
-    columns: RayColumns,
+    chosen: ChosenRays,
     /// Reciprocals of their longest and shortest tick.
     per_tick: (f32, f32),
 }
 
 impl SomeRays {
-    fn new(packet: &Packet, mask: u64, simd: SimdLevel) -> Self {
-        let mut lanes = Vec::with_capacity(mask.count_ones() as usize);
-        each_lane(mask, |lane| lanes.push(lane as u8));
+    fn new(packet: &Packet, mask: u64) -> Self {
         let (least, most) = packet.tick_range(mask);
         let per_tick = ((1.0 / most) as f32, (1.0 / least) as f32);
-        Self { mask, lanes, columns: RayColumns::new(simd, packet.rays(mask)), per_tick }
+        Self { mask, chosen: ChosenRays::new(mask), per_tick }
     }
 }
 
 impl LiveSamples {
     /// Whether any of these samples may lie in a box. `first` and `last` are the packet's ticks in
-    /// the box.
-    fn meets(&self, bounds: &Aabb, (first, last): (u64, u64)) -> bool {
+    /// the box, and `each` all its rays.
+    fn meets(&self, bounds: &Aabb, (first, last): (u64, u64), each: &RayColumns) -> bool {
         let in_slab = self.slab.samples_at(first, last);
         if last < self.slab.first_tick() || self.any & bits_between(in_slab.0, in_slab.1) == 0 {
             return false;
         }
-        let crossing = self.rays.columns.cross(bounds, 0.0);
+        let crossing = each.cross(bounds, 0.0, &self.rays.chosen);
         // A power of two, so that products with it are exact.
         let per_step = 2_f32.powi(-(self.slab.level as i32));
         let (slow, fast) = (self.rays.per_tick.0 * per_step, self.rays.per_tick.1 * per_step);
         // A slack of two samples, as for the beam; wherever single precision is used, it is far
         // finer than one sample.
         let first_sample = self.slab.first as f32;
-        let mut near = crossing.near & (u64::MAX >> (LANES - self.rays.lanes.len()));
+        let mut near = crossing.near;
         while near != 0 {
-            let column = near.trailing_zeros() as usize;
+            let lane = near.trailing_zeros() as usize;
             near &= near - 1;
-            let enter = crossing.enter_near[column] * (1.0 - 1e-5) * slow - 2.0 - first_sample;
-            let exit = crossing.exit_near[column] * (1.0 + 1e-5) * fast + 2.0 - first_sample;
+            let enter = crossing.enter_near[lane] * (1.0 - 1e-5) * slow - 2.0 - first_sample;
+            let exit = crossing.exit_near[lane] * (1.0 + 1e-5) * fast + 2.0 - first_sample;
             // Negative numbers become 0 in the cast.
             let bits = if exit < 0.0 { 0 } else { bits_between(enter as u64, exit as u64) };
-            if bits & self.live.0[usize::from(self.rays.lanes[column])] != 0 {
+            if bits & self.live.0[lane] != 0 {
                 return true;
             }
         }
@@ -131,8 +127,11 @@ pub(super) fn bits_between(first: u64, last: u64) -> u32 {
 
 /// The live rays of a packet, and those of their samples in the current slab that still matter.
 pub(super) struct LiveRays {
+    /// All rays of the packet individually, once they have been needed.
+    each: OnceCell<RayColumns>,
     going: RaySet,
     now: Option<LiveSamples>,
+    simd: SimdLevel,
     /// Whether some of the rays wait: they come to the slab with finer steps.
     some_wait: bool,
 }
@@ -140,26 +139,32 @@ pub(super) struct LiveRays {
 impl LiveRays {
     /// The ticks of samples of live rays that may lie in a box, or `None` if there are none.
     pub(super) fn ticks_in(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
-        self.going.ticks_in(packet, bounds)
+        self.going.ticks_in(packet, bounds, || self.each(packet), self.going.apart)
+    }
+
+    /// The same, of which no ray is bounded with others.
+    pub(super) fn ticks_of_each(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
+        self.going.ticks_in(packet, bounds, || self.each(packet), true)
+    }
+
+    fn each(&self, packet: &Packet) -> &RayColumns {
+        self.each.get_or_init(|| RayColumns::new(self.simd, packet.rays(packet.all())))
     }
 
     /// Whether samples of live rays in a slab may lie in a box.
     pub(super) fn reach(&self, packet: &Packet, bounds: &Aabb, slab: Slab) -> bool {
         let ticks = self.ticks_in(packet, bounds);
         ticks.is_some_and(|(first, last)| {
-            first < slab.end_tick() && last >= slab.first_tick() && !self.misses_now(bounds, (first, last))
+            first < slab.end_tick()
+                && last >= slab.first_tick()
+                && !self.misses_now(packet, bounds, (first, last))
         })
-    }
-
-    /// The same rays, tested individually.
-    pub(super) fn ray_by_ray(&self) -> RaySet {
-        self.going.ray_by_ray()
     }
 
     /// Whether none of the samples that matter in this slab lies in a box; `range` is the packet's
     /// ticks in the box.
-    pub(super) fn misses_now(&self, bounds: &Aabb, range: (u64, u64)) -> bool {
-        self.now.as_ref().is_some_and(|now| !now.meets(bounds, range))
+    pub(super) fn misses_now(&self, packet: &Packet, bounds: &Aabb, range: (u64, u64)) -> bool {
+        self.now.as_ref().is_some_and(|now| !now.meets(bounds, range, self.each(packet)))
     }
 
     /// Whether rays have yet to come to what lies in the slab.
@@ -169,7 +174,8 @@ impl LiveRays {
 
     /// All rays of a packet.
     pub(super) fn new(packet: &Packet, simd: SimdLevel) -> Self {
-        Self { going: RaySet::new(packet, packet.all(), simd), now: None, some_wait: false }
+        let going = RaySet::new(packet, packet.all());
+        Self { each: OnceCell::new(), going, now: None, simd, some_wait: false }
     }
 
     /// Replaces the rays by others of the same packet, with those of their samples in a slab that
@@ -180,12 +186,11 @@ impl LiveRays {
         slab: Slab,
         live: &Live,
         (going, waiting): (u64, u64),
-        simd: SimdLevel,
     ) {
         self.some_wait = waiting != 0;
         let going = going | waiting;
         if self.going.lanes != going {
-            self.going = RaySet::new(packet, going, simd);
+            self.going = RaySet::new(packet, going);
         }
         let all = bits_between(0, slab.samples as u64 - 1);
         let mut partial = live.lanes() != going;
@@ -196,7 +201,7 @@ impl LiveRays {
             return;
         }
         let known = self.now.take().map(|now| now.rays).filter(|rays| rays.mask == mask);
-        let rays = known.unwrap_or_else(|| SomeRays::new(packet, mask, simd));
+        let rays = known.unwrap_or_else(|| SomeRays::new(packet, mask));
         let any = live.0.iter().fold(0, |any, lane| any | lane);
         self.now = Some(LiveSamples { slab, live: *live, any, rays });
     }

@@ -155,7 +155,7 @@ impl CloudMarch {
         let Some(rays) = self.rays.as_mut().filter(|_| lanes != 0) else { return Ok(()) };
         self.packet.set_level(slab.level);
         let (waiting, since) = waiting;
-        rays.become_rays(&self.packet, slab, live, (going, waiting), simd);
+        rays.become_rays(&self.packet, slab, live, (going, waiting));
         let place = PacketInCloud { access, cloud: &volume.placement, packet: &self.packet, rays };
         self.frontier.advance(place, slab, since, &mut self.active)?;
         if access.follows_lines {
