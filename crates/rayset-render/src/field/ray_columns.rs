@@ -1,5 +1,7 @@
 //! Up to sixty-four rays, tested against boxes together.
 
+use std::ops::Range;
+
 use fearless_simd::f32x16;
 use fearless_simd::prelude::*;
 
@@ -35,6 +37,19 @@ impl ChosenRays {
     }
 }
 
+/// Which of the chosen rays come within a small margin of a box, and where.
+#[derive(Clone, Copy, Debug)]
+pub struct Near {
+    /// A bit for each such ray.
+    pub lanes: u64,
+    /// Distance at which each of them comes within the margin.
+    pub enter: [f32; LANES],
+    /// Distance at which each of them leaves it.
+    pub exit: [f32; LANES],
+    /// The least and the largest of these distances.
+    pub span: (f32, f32),
+}
+
 /// Which rays meet a box, and where.
 #[derive(Clone, Copy, Debug)]
 pub struct Crossing {
@@ -44,15 +59,17 @@ pub struct Crossing {
     pub through: u64,
     /// Distance at which each ray of `near` comes within the margin.
     pub enter_near: [f32; LANES],
-    /// Distance at which each ray of `near` leaves the margin.
-    pub exit_near: [f32; LANES],
-    /// Least distance at which a ray of `near` comes within the margin, and the largest at which one
-    /// leaves it.
-    pub span_near: (f32, f32),
     /// Distance at which each ray of `through` leaves the box.
     pub exit: [f32; LANES],
     /// Length of each ray of `through` inside the box.
     pub length: [f32; LANES],
+}
+
+/// A box relative to the base of the rays, and the margin around it.
+struct Narrowed {
+    low: [f32; 3],
+    high: [f32; 3],
+    margin: f32,
 }
 
 impl RayColumns {
@@ -84,64 +101,98 @@ impl RayColumns {
         columns
     }
 
-    /// Tests some of the rays against a box and against the box enlarged by `margin_world`. Every one
-    /// of them that meets the box is among those near it, even with a margin of 0.
+    /// Tests some of the rays against a box. Every one of them that meets it is near.
     #[must_use]
-    pub fn cross(&self, bounds: &Aabb, margin_world: f64, chosen: &ChosenRays) -> Crossing {
+    pub fn near(&self, bounds: &Aabb, chosen: &ChosenRays) -> Near {
+        let narrowed = self.narrow(bounds, 0.0);
+        dispatch!(self.simd.level(), simd => self.near_with(simd, &narrowed, chosen))
+    }
+
+    /// Tests all rays against a box and against the box enlarged by `margin_world`. Every ray that
+    /// meets the box is among those near it, even with a margin of 0.
+    #[must_use]
+    pub fn cross(&self, bounds: &Aabb, margin_world: f64) -> Crossing {
+        let narrowed = self.narrow(bounds, margin_world);
+        dispatch!(self.simd.level(), simd => self.cross_with(simd, &narrowed))
+    }
+
+    /// A box in single precision, with a margin far larger than the rounding error of coordinates
+    /// and of the test.
+    fn narrow(&self, bounds: &Aabb, margin_world: f64) -> Narrowed {
         let (low, high) = (bounds.min - self.base, bounds.max - self.base);
-        // Far larger than the rounding error of coordinates and of the test in single precision.
         let farthest = low.abs().max(high.abs()).max_element() + self.spread;
-        let margin = margin_world + 1e-6 * farthest;
         let narrow = |v: DVec3| v.to_array().map(|v| v as f32);
-        let (low, high) = (narrow(low), narrow(high));
-        dispatch!(self.simd.level(), simd => self.cross_with(simd, (low, high), margin as f32, chosen))
+        let margin = (margin_world + 1e-6 * farthest) as f32;
+        Narrowed { low: narrow(low), high: narrow(high), margin }
     }
 
     #[inline(always)]
-    fn cross_with<S: Simd>(
-        &self,
-        simd: S,
-        (low, high): ([f32; 3], [f32; 3]),
-        margin: f32,
-        chosen: &ChosenRays,
-    ) -> Crossing {
+    fn near_with<S: Simd>(&self, simd: S, narrowed: &Narrowed, chosen: &ChosenRays) -> Near {
+        let mut near = Near { lanes: 0, enter: [0.0; LANES], exit: [0.0; LANES], span: (0.0, 0.0) };
+        let (zero, infinity) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, f32::INFINITY));
+        let (mut first, mut last) = (infinity, zero);
+        for chunk in 0..LANES / 16 {
+            let range = 16 * chunk..16 * chunk + 16;
+            // Who begins nowhere leaves everything before.
+            let mut enter = f32x16::from_slice(simd, &chosen.begin[range.clone()]);
+            let mut exit = infinity;
+            for axis in 0..3 {
+                let (a, b, more) = self.between(simd, narrowed, axis, range.clone());
+                (enter, exit) = (enter.max(a - more), exit.min(b + more));
+            }
+            let is_near = enter.simd_le(exit);
+            near.lanes |= is_near.to_bitmask() << (16 * chunk);
+            first = first.min(is_near.select(enter, infinity));
+            last = last.max(is_near.select(exit, zero));
+            enter.store_slice(&mut near.enter[range.clone()]);
+            exit.store_slice(&mut near.exit[range]);
+        }
+        near.span = (first.reduce_min(), last.reduce_max());
+        near
+    }
+
+    #[inline(always)]
+    fn cross_with<S: Simd>(&self, simd: S, narrowed: &Narrowed) -> Crossing {
         let mut crossing = Crossing {
             near: 0,
             through: 0,
             enter_near: [0.0; LANES],
-            exit_near: [0.0; LANES],
-            span_near: (f32::INFINITY, 0.0),
             exit: [0.0; LANES],
             length: [0.0; LANES],
         };
         let (zero, infinity) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, f32::INFINITY));
-        let (mut first_near, mut last_near) = (infinity, zero);
         for chunk in 0..LANES / 16 {
             let range = 16 * chunk..16 * chunk + 16;
-            let begin = f32x16::from_slice(simd, &chosen.begin[range.clone()]);
-            // Who begins nowhere leaves everything before.
-            let (mut enter, mut exit) = (begin, infinity);
-            let (mut enter_near, mut exit_near) = (begin, infinity);
+            let (mut enter, mut exit) = (zero, infinity);
+            let (mut enter_near, mut exit_near) = (zero, infinity);
             for axis in 0..3 {
-                let origin = f32x16::from_slice(simd, &self.origin[axis][range.clone()]);
-                let inverse = f32x16::from_slice(simd, &self.inverse_direction[axis][range.clone()]);
-                let (a, b) = ((low[axis] - origin) * inverse, (high[axis] - origin) * inverse);
-                let (first, last, more) = (a.min(b), a.max(b), inverse.abs() * margin);
-                (enter, exit) = (enter.max(first), exit.min(last));
-                (enter_near, exit_near) = (enter_near.max(first - more), exit_near.min(last + more));
+                let (a, b, more) = self.between(simd, narrowed, axis, range.clone());
+                (enter, exit) = (enter.max(a), exit.min(b));
+                (enter_near, exit_near) = (enter_near.max(a - more), exit_near.min(b + more));
             }
-            let near = enter_near.simd_le(exit_near);
-            crossing.near |= near.to_bitmask() << (16 * chunk);
-            first_near = first_near.min(near.select(enter_near, infinity));
-            last_near = last_near.max(near.select(exit_near, zero));
+            crossing.near |= enter_near.simd_le(exit_near).to_bitmask() << (16 * chunk);
             crossing.through |= enter.simd_le(exit).to_bitmask() << (16 * chunk);
             enter_near.store_slice(&mut crossing.enter_near[range.clone()]);
-            exit_near.store_slice(&mut crossing.exit_near[range.clone()]);
             exit.store_slice(&mut crossing.exit[range.clone()]);
             (exit - enter).store_slice(&mut crossing.length[range]);
         }
-        crossing.span_near = (first_near.reduce_min(), last_near.reduce_max());
         crossing
+    }
+
+    /// Where sixteen rays are between the faces of a box across an axis, from where to where, and
+    /// how much farther between those of the enlarged one.
+    #[inline(always)]
+    fn between<S: Simd>(
+        &self,
+        simd: S,
+        Narrowed { low, high, margin }: &Narrowed,
+        axis: usize,
+        range: Range<usize>,
+    ) -> (f32x16<S>, f32x16<S>, f32x16<S>) {
+        let origin = f32x16::from_slice(simd, &self.origin[axis][range.clone()]);
+        let inverse = f32x16::from_slice(simd, &self.inverse_direction[axis][range]);
+        let (a, b) = ((low[axis] - origin) * inverse, (high[axis] - origin) * inverse);
+        (a.min(b), a.max(b), inverse.abs() * *margin)
     }
 }
 
@@ -171,16 +222,17 @@ mod tests {
                 .collect();
             for simd in SimdLevel::available() {
                 let columns = RayColumns::new(simd, rays.iter().copied());
-                let crossing = columns.cross(&bounds, 0.0, &ChosenRays::new(lanes));
-                prop_assert!(crossing.near & !lanes == 0 && crossing.through & !lanes == 0);
+                let near = columns.near(&bounds, &ChosenRays::new(lanes));
+                prop_assert_eq!(near.lanes & !lanes, 0);
+                prop_assert_eq!(near.lanes, columns.cross(&bounds, 0.0).near & lanes);
                 for (lane, ray) in rays.iter().enumerate().filter(|(lane, _)| lanes >> lane & 1 == 1) {
-                    prop_assert!(bounds.clip(ray).is_none() || crossing.near >> lane & 1 == 1, "{ray:?}");
+                    prop_assert!(bounds.clip(ray).is_none() || near.lanes >> lane & 1 == 1, "{ray:?}");
                 }
-                let near = (0..LANES).filter(|lane| crossing.near >> lane & 1 == 1);
-                let span = near.fold((f32::INFINITY, 0.0_f32), |(enter, exit), lane| {
-                    (enter.min(crossing.enter_near[lane]), exit.max(crossing.exit_near[lane]))
+                let of_lanes = (0..LANES).filter(|lane| near.lanes >> lane & 1 == 1);
+                let span = of_lanes.fold((f32::INFINITY, 0.0_f32), |(enter, exit), lane| {
+                    (enter.min(near.enter[lane]), exit.max(near.exit[lane]))
                 });
-                prop_assert_eq!(crossing.span_near, span);
+                prop_assert_eq!(near.span, span);
             }
         }
     }

@@ -42,14 +42,14 @@ impl RaySet {
         if self.lanes == 0 || !apart && !self.may_pass_between(packet, bounds, first) {
             return Some((first, last));
         }
-        let crossing = each().cross(bounds, 0.0, &self.chosen);
-        if crossing.near == 0 {
+        let near = each().near(bounds, &self.chosen);
+        if near.lanes == 0 {
             return None;
         }
         // A slack of two ticks, as for the beam; what single precision loses is in the margin of
         // the test.
         let (least, most) = self.ticks;
-        let (enter, exit) = crossing.span_near;
+        let (enter, exit) = near.span;
         let enter = f64::from(enter) * (1.0 - 1e-5) / most - 2.0;
         let exit = f64::from(exit) * (1.0 + 1e-5) / least + 2.0;
         let (first, last) = (first.max(enter.max(0.0) as u64), last.min(exit as u64));
@@ -96,19 +96,19 @@ impl LiveSamples {
         if last < self.slab.first_tick() || self.any & bits_between(in_slab.0, in_slab.1) == 0 {
             return false;
         }
-        let crossing = each.cross(bounds, 0.0, &self.rays.chosen);
+        let near = each.near(bounds, &self.rays.chosen);
         // A power of two, so that products with it are exact.
         let per_step = 2_f32.powi(-(self.slab.level as i32));
         let (slow, fast) = (self.rays.per_tick.0 * per_step, self.rays.per_tick.1 * per_step);
         // A slack of two samples, as for the beam; wherever single precision is used, it is far
         // finer than one sample.
         let first_sample = self.slab.first as f32;
-        let mut near = crossing.near;
-        while near != 0 {
-            let lane = near.trailing_zeros() as usize;
-            near &= near - 1;
-            let enter = crossing.enter_near[lane] * (1.0 - 1e-5) * slow - 2.0 - first_sample;
-            let exit = crossing.exit_near[lane] * (1.0 + 1e-5) * fast + 2.0 - first_sample;
+        let mut lanes = near.lanes;
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            let enter = near.enter[lane] * (1.0 - 1e-5) * slow - 2.0 - first_sample;
+            let exit = near.exit[lane] * (1.0 + 1e-5) * fast + 2.0 - first_sample;
             // Negative numbers become 0 in the cast.
             let bits = if exit < 0.0 { 0 } else { bits_between(enter as u64, exit as u64) };
             if bits & self.live.0[lane] != 0 {

@@ -4,7 +4,7 @@
 use std::convert::Infallible;
 
 use super::policy::Expects;
-use crate::field::{ChosenRays, Crossing, LANES, RayColumns, SimdLevel};
+use crate::field::{Crossing, LANES, RayColumns, SimdLevel};
 use crate::scene::OpacityRule;
 use crate::trace::cloud::{CloudShading, NodesInMemory};
 use rayset_base::geometry::{Aabb, Beam, DVec3, Ray};
@@ -44,7 +44,6 @@ impl Gap {
 /// world space, so that distances are in world space.
 pub(super) struct ProbeRays {
     rays: RayColumns,
-    all: ChosenRays,
     beam: Beam,
     gap: Gap,
     /// Distance at which each ray is expected to end.
@@ -73,7 +72,6 @@ impl ProbeRays {
         rays.iter().for_each(|ray| beam.include(ray));
         Self {
             rays: RayColumns::new(simd, rays.iter().copied()),
-            all: ChosenRays::new(u64::MAX),
             beam,
             gap,
             ends: [f32::INFINITY; LANES],
@@ -111,7 +109,7 @@ impl ProbeRays {
     /// rays within half the gap may meet the box. Rays that are expected to end before it are left
     /// out.
     fn cross(&self, bounds: &Aabb, distance: f64) -> Crossing {
-        let mut crossing = self.rays.cross(bounds, self.gap.at(distance), &self.all);
+        let mut crossing = self.rays.cross(bounds, self.gap.at(distance));
         let mut before_their_ends = 0;
         for lane in 0..LANES {
             before_their_ends |= u64::from(crossing.enter_near[lane] < self.all_end[lane]) << lane;
