@@ -81,7 +81,7 @@ impl RunBatch {
         if !is_known {
             decoder.place(run, header, step, &mut item.run);
         }
-        dispatch!(simd.level(), simd => set_frames(simd, &mut item.frames, &item.run, packet, slab));
+        dispatch!(simd.level(), simd => set_frames(simd, &mut item.frames, &item.run, packet, slab, lanes));
         if !item.run.may_be_wide && item.frames.meets.iter().all(|meets| meets & lanes == 0) {
             if is_known {
                 self.keep(self.len);
@@ -150,9 +150,16 @@ impl RunBatch {
 /// Sets the frames of a run. It is the same for all kernels, and compiled apart from them: there
 /// are 42 loops over kernels and quantities for each set of instructions.
 #[inline(always)]
-fn set_frames<S: Simd>(simd: S, frames: &mut Frames, run: &DecodedRun, packet: &Packet, slab: Slab) {
+fn set_frames<S: Simd>(
+    simd: S,
+    frames: &mut Frames,
+    run: &DecodedRun,
+    packet: &Packet,
+    slab: Slab,
+    lanes: u64,
+) {
     simd.vectorize(
         #[inline(always)]
-        || frames.set(simd, run, packet, slab),
+        || frames.set(simd, run, packet, slab, lanes),
     );
 }

@@ -9,6 +9,7 @@ use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
 use super::columns::CHUNKS;
+use super::group::GROUP;
 use super::packet::{BLOCK_SAMPLES, BLOCKS, LANES, Packet, Slab};
 use super::run::DecodedRun;
 
@@ -54,32 +55,50 @@ impl Default for Frames {
 }
 
 impl Frames {
-    /// Sets everything for a run and a slab.
+    /// Sets everything for a run and a slab, of the groups of rays of which some are in `lanes`.
     #[inline(always)]
-    pub(super) fn set<S: Simd>(&mut self, simd: S, run: &DecodedRun, packet: &Packet, slab: Slab) {
+    pub(super) fn set<S: Simd>(
+        &mut self,
+        simd: S,
+        run: &DecodedRun,
+        packet: &Packet,
+        slab: Slab,
+        lanes: u64,
+    ) {
+        self.meets = [0; BLOCKS];
+        for first in (0..LANES).step_by(GROUP) {
+            if lanes >> first & ((1 << GROUP) - 1) != 0 {
+                self.find_feet(run, packet, slab.first as f64, first);
+                self.find_blocks(simd, run, packet, first);
+            }
+        }
+        self.meets[slab.blocks()..].fill(0);
+    }
+
+    /// Finds where the rays of a group are nearest to the run's centre.
+    #[inline(always)]
+    fn find_feet(&mut self, run: &DecodedRun, packet: &Packet, first_sample: f64, first: usize) {
         let (o, d) = (&packet.origin, &packet.direction);
         let center = run.center.to_array();
-        let first = slab.first as f64;
         // Separate multiplications and additions: `f64` has enough precision, and fused operations
         // are slow on processors that have no instruction for them.
-        for lane in 0..LANES {
+        for lane in first..first + GROUP {
             let (x, y, z) = (o[0][lane] - center[0], o[1][lane] - center[1], o[2][lane] - center[2]);
             let t_foot = -(x * d[0][lane] + y * d[1][lane] + z * d[2][lane]);
             self.minus_foot[0][lane] = -(x + t_foot * d[0][lane]) as f32;
             self.minus_foot[1][lane] = -(y + t_foot * d[1][lane]) as f32;
             self.minus_foot[2][lane] = -(z + t_foot * d[2][lane]) as f32;
             let nearest = (t_foot * packet.per_step[lane]).floor();
-            self.first_sample[lane] = (first - nearest) as f32;
+            self.first_sample[lane] = (first_sample - nearest) as f32;
             self.sample_zero[lane] =
                 ((nearest + packet.sample_offset[lane]) * packet.step[lane] - t_foot) as f32;
         }
-        self.find_blocks(simd, run, packet, slab.blocks());
     }
 
+    /// Finds the blocks of a group of rays that may lie within the run's bounds of influence.
     #[inline(always)]
-    fn find_blocks<S: Simd>(&mut self, simd: S, run: &DecodedRun, packet: &Packet, blocks: usize) {
-        self.meets = [0; BLOCKS];
-        for chunk in 0..LANES / 8 {
+    fn find_blocks<S: Simd>(&mut self, simd: S, run: &DecodedRun, packet: &Packet, first: usize) {
+        for chunk in first / 8..(first + GROUP) / 8 {
             let per_block = lanes_of(simd, &packet.per_block, chunk);
             let mut enter = f32x8::splat(simd, f32::NEG_INFINITY);
             let mut exit = f32x8::splat(simd, f32::INFINITY);
@@ -107,7 +126,6 @@ impl Frames {
                 self.meets[b] |= meets.to_bitmask() << (8 * chunk);
             }
         }
-        self.meets[blocks..].fill(0);
     }
 
     /// Sets where the slab begins and ends on eight rays, from its beginning in blocks and a bound

@@ -25,6 +25,7 @@ pub struct RayColumns {
 /// Some of the rays in columns: where each begins, which for others is nowhere.
 #[derive(Clone, Debug)]
 pub struct ChosenRays {
+    lanes: u64,
     begin: [f32; LANES],
 }
 
@@ -33,7 +34,7 @@ impl ChosenRays {
     #[must_use]
     pub fn new(lanes: u64) -> Self {
         let begin = |lane| if lanes >> lane & 1 == 1 { 0.0 } else { f32::INFINITY };
-        Self { begin: std::array::from_fn(begin) }
+        Self { lanes, begin: std::array::from_fn(begin) }
     }
 }
 
@@ -132,6 +133,9 @@ impl RayColumns {
         let (zero, infinity) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, f32::INFINITY));
         let (mut first, mut last) = (infinity, zero);
         for chunk in 0..LANES / 16 {
+            if chosen.lanes >> (16 * chunk) & 0xffff == 0 {
+                continue;
+            }
             let range = 16 * chunk..16 * chunk + 16;
             // Who begins nowhere leaves everything before.
             let mut enter = f32x16::from_slice(simd, &chosen.begin[range.clone()]);
