@@ -14,7 +14,7 @@ pub(super) struct LocalRays {
     /// All rays.
     pub(super) beam: Beam,
     columns: Box<Columns>,
-    simd: SimdLevel,
+    pub(super) simd: SimdLevel,
 }
 
 /// Lanes that are clipped together, or not at all.

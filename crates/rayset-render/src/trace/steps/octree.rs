@@ -6,10 +6,15 @@
 //! the box around its spheres of influence. If a group's points are scattered, most rays that meet
 //! its box meet no point: then a ray has a detail where it passes through one.
 
+use std::ops::Range;
+
+use fearless_simd::f64x4;
+use fearless_simd::prelude::*;
+
 use super::chords::{Chord, Part, Place};
 use super::local_rays::{Clipped, LocalRays};
 use super::{ASKED_THEMSELVES, CloudPlacement, Packet, SCATTERED, StepRule};
-use crate::field::LANES;
+use crate::field::{LANES, SimdLevel, dispatch};
 use crate::trace::access::{Access, Halt};
 use crate::trace::cloud::{RetainedNodes, each_own_page, run_bounds};
 use crate::trace::node_samples::each_lane;
@@ -254,13 +259,13 @@ impl Meeting<'_> {
         if !walk.may_look_at_runs_of(node, cloud.header()) {
             return Err(cloud.broken(node.own.first_page).into());
         }
-        let mut groups = RunGroups::new(cloud);
+        let mut groups = RunGroups::new(cloud, rays.simd);
         each_own_page(access, cloud, node, |_, points, runs| {
             for index in runs {
                 let near = rays.clip(&run_bounds(cloud, points, index), near.lanes).lanes;
                 if near != 0 {
                     groups.decode(&points.run(index));
-                    groups.each(|points, radii| self.add_group(points, radii, bounds, near, search));
+                    groups.each(|group| self.add_group(group, bounds, near, search));
                 }
             }
         })
@@ -289,33 +294,23 @@ impl Meeting<'_> {
         });
     }
 
-    /// Adds the chords of a group of points, in the cloud's space.
-    fn add_group(&self, points: &[DVec3], radii: &[f32], of_node: &Aabb, near: u64, search: &mut Search<'_>) {
-        let (mut bounds, mut least) = (Aabb::EMPTY, f32::INFINITY);
-        for (&point, &radius) in points.iter().zip(radii) {
-            bounds.include(point - f64::from(radius));
-            bounds.include(point + f64::from(radius));
-            least = least.min(radius);
-        }
-        let bounds = bounds.intersection(*of_node);
+    /// Adds the chords of a group of points.
+    fn add_group(&self, group: Group<'_>, of_node: &Aabb, near: u64, search: &mut Search<'_>) {
+        let bounds = group.bounds.intersection(*of_node);
         if bounds.is_empty() || self.rays.beam.span(&bounds).is_none() {
             return;
         }
-        let (least, near) = (f64::from(least), self.rays.clip(&bounds, near));
-        if self.is_scattered(&bounds, least) {
-            points
-                .iter()
-                .zip(radii)
-                .for_each(|(&point, &radius)| self.add_point(point, radius, &near, search));
+        let near = self.rays.clip(&bounds, near);
+        if self.is_scattered(&bounds, group.least_radius) {
+            group.points().for_each(|(point, radius)| self.add_point(point, radius, &near, search));
         } else {
-            self.add_box(&near, least, search);
+            self.add_box(&near, group.least_radius, search);
         }
     }
 
     /// Adds the chords of rays through the sphere of influence of a point, in the cloud's space, as
     /// far as they are in the box of its group.
-    fn add_point(&self, point: DVec3, radius: f32, group: &Clipped, search: &mut Search<'_>) {
-        let radius = f64::from(radius);
+    fn add_point(&self, point: DVec3, radius: f64, group: &Clipped, search: &mut Search<'_>) {
         each_lane(group.lanes, |lane| {
             // The unit direction in local space, for the squared distance to the ray's line.
             let (ray, stretch) = (&self.rays.rays[lane], self.rays.stretch[lane]);
@@ -335,41 +330,80 @@ impl Meeting<'_> {
     }
 }
 
-/// The points of a run, in groups.
+/// The points of a run, in groups; the last one is filled up with its last point.
 struct RunGroups<'t> {
     cloud: &'t CloudPlacement,
+    simd: SimdLevel,
     len: usize,
-    points: [DVec3; RUN_POINTS],
-    offsets: [[f64; RUN_POINTS]; 3],
-    radii: [f32; RUN_POINTS],
+    /// In the cloud's space.
+    position: [[f64; RUN_POINTS]; 3],
+    radius: [f64; RUN_POINTS],
+}
+
+/// A group of points.
+struct Group<'t> {
+    run: &'t RunGroups<'t>,
+    /// Numbers of its points in the run.
+    numbers: Range<usize>,
+    /// The box around its spheres of influence, in the cloud's space.
+    bounds: Aabb,
+    least_radius: f64,
+}
+
+impl Group<'_> {
+    /// The points, each with its radius.
+    fn points(&self) -> impl Iterator<Item = (DVec3, f64)> {
+        let [x, y, z] = &self.run.position;
+        self.numbers.clone().map(move |i| (DVec3::new(x[i], y[i], z[i]), self.run.radius[i]))
+    }
 }
 
 impl<'t> RunGroups<'t> {
-    fn new(cloud: &'t CloudPlacement) -> Self {
-        Self {
-            cloud,
-            len: 0,
-            points: [DVec3::ZERO; RUN_POINTS],
-            offsets: [[0.0; RUN_POINTS]; 3],
-            radii: [cloud.header().radius.min(); RUN_POINTS],
-        }
+    fn new(cloud: &'t CloudPlacement, simd: SimdLevel) -> Self {
+        let radius = [f64::from(cloud.header().radius.min()); RUN_POINTS];
+        Self { cloud, simd, len: 0, position: [[0.0; RUN_POINTS]; 3], radius }
     }
 
     fn decode(&mut self, run: &Run<'_>) {
         self.len = run.head.len();
         if let Some(stored) = run.radii(self.cloud.header()) {
-            self.radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
+            self.radius.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = f64::from(stored));
         }
-        run.decode_local_f64(self.cloud.root_cell, &mut self.offsets);
+        run.decode_local_f64(self.cloud.root_cell, &mut self.position);
         let center = run.head.position_bounds(self.cloud.root_cell).center();
-        let [x, y, z] = &self.offsets;
-        for (i, point) in self.points.iter_mut().enumerate().take(self.len) {
-            *point = center + DVec3::new(x[i], y[i], z[i]);
+        let last_group = self.len..self.len.next_multiple_of(GROUP_POINTS);
+        for (column, center) in self.position.iter_mut().zip(center.to_array()) {
+            column[..self.len].iter_mut().for_each(|offset| *offset += center);
+            let last = column[self.len - 1];
+            column[last_group.clone()].fill(last);
+        }
+        let last = self.radius[self.len - 1];
+        self.radius[last_group].fill(last);
+    }
+
+    fn each(&self, mut visit: impl FnMut(Group<'_>)) {
+        for first in (0..self.len).step_by(GROUP_POINTS) {
+            let (bounds, least_radius) = dispatch!(self.simd.level(), simd => self.bounds(simd, first));
+            let numbers = first..self.len.min(first + GROUP_POINTS);
+            visit(Group { run: self, numbers, bounds, least_radius });
         }
     }
 
-    fn each(&self, mut visit: impl FnMut(&[DVec3], &[f32])) {
-        let (points, radii) = (&self.points[..self.len], &self.radii[..self.len]);
-        points.chunks(GROUP_POINTS).zip(radii.chunks(GROUP_POINTS)).for_each(|(p, r)| visit(p, r));
+    /// The box around the spheres of influence of a group, and the least radius.
+    #[inline(always)]
+    fn bounds<S: Simd>(&self, simd: S, first: usize) -> (Aabb, f64) {
+        let of = |column: &[f64; RUN_POINTS], at: usize| f64x4::from_slice(simd, &column[at..at + 4]);
+        let mut bounds = Aabb::EMPTY;
+        let (least, most) = (f64x4::splat(simd, f64::INFINITY), f64x4::splat(simd, f64::NEG_INFINITY));
+        for axis in 0..3 {
+            let (mut low, mut high) = (least, most);
+            for at in (first..first + GROUP_POINTS).step_by(4) {
+                let (position, radius) = (of(&self.position[axis], at), of(&self.radius, at));
+                (low, high) = (low.min(position - radius), high.max(position + radius));
+            }
+            (bounds.min[axis], bounds.max[axis]) = (low.reduce_min(), high.reduce_max());
+        }
+        let radii = (first..first + GROUP_POINTS).step_by(4).map(|at| of(&self.radius, at));
+        (bounds, radii.fold(least, |least, radius| least.min(radius)).reduce_min())
     }
 }
