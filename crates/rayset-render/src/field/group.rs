@@ -10,11 +10,9 @@ use fearless_simd::prelude::*;
 
 use super::columns::{CHUNK_POINTS, CHUNKS};
 use super::lane_ray::Frames;
-use super::packet::{LANES, Packet};
+use super::packet::{GROUP, LANES, Packet};
 use super::run::DecodedRun;
 
-/// Lanes of a group: neighbours, where packets have their rays in the order of a Z curve.
-pub(super) const GROUP: usize = 16;
 /// Rays are bounded together where that enlarges the smallest radius of a run by this part of it at
 /// most.
 const MOST_GROWTH: f32 = 1.0;

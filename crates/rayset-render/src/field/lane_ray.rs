@@ -9,8 +9,7 @@ use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
 use super::columns::CHUNKS;
-use super::group::GROUP;
-use super::packet::{BLOCK_SAMPLES, BLOCKS, LANES, Packet, Slab};
+use super::packet::{BLOCK_SAMPLES, BLOCKS, GROUP, LANES, Packet, Slab};
 use super::run::DecodedRun;
 
 const COUNT: [f32; BLOCK_SAMPLES] = [0., 1., 2., 3., 4., 5., 6., 7.];

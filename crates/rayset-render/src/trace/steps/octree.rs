@@ -265,7 +265,7 @@ impl Meeting<'_> {
                 let near = rays.clip(&run_bounds(cloud, points, index), near.lanes).lanes;
                 if near != 0 {
                     groups.decode(&points.run(index));
-                    groups.each(|group| self.add_group(group, bounds, near, search));
+                    groups.each(|group| self.add_group(&group, bounds, near, search));
                 }
             }
         })
@@ -295,7 +295,7 @@ impl Meeting<'_> {
     }
 
     /// Adds the chords of a group of points.
-    fn add_group(&self, group: Group<'_>, of_node: &Aabb, near: u64, search: &mut Search<'_>) {
+    fn add_group(&self, group: &Group<'_>, of_node: &Aabb, near: u64, search: &mut Search<'_>) {
         let bounds = group.bounds.intersection(*of_node);
         if bounds.is_empty() || self.rays.beam.span(&bounds).is_none() {
             return;
