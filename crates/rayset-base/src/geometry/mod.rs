@@ -1,4 +1,5 @@
-//! Bounding boxes, rays, beams of rays and space-filling curves, on which the other modules build.
+//! Bounding boxes, rays, beams of rays, shapes of points and space-filling curves, on which the other
+//! modules build.
 //!
 //! Positions are `f64`, in world space or in the local space of an object (the space of its input
 //! file). Nothing here depends on points, pages or pictures.
@@ -7,8 +8,10 @@ mod beam;
 mod bounds;
 pub mod curve;
 mod ray;
+mod shape;
 
 pub use beam::Beam;
 pub use bounds::Aabb;
 pub use glam::{DAffine3, DMat3, DQuat, DVec3};
 pub use ray::Ray;
+pub use shape::Shape;

@@ -14,6 +14,7 @@ pub mod node;
 pub mod page;
 pub mod run_encoder;
 mod sample;
+pub mod shape;
 pub mod verify;
 pub mod walk;
 
