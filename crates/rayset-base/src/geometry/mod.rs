@@ -1,5 +1,5 @@
-//! Bounding boxes, rays, beams of rays, shapes of points and space-filling curves, on which the other
-//! modules build.
+//! Bounding boxes, rays, beams of rays, shapes of points and space-filling curves, on which the
+//! other modules build.
 //!
 //! Positions are `f64`, in world space or in the local space of an object (the space of its input
 //! file). Nothing here depends on points, pages or pictures.

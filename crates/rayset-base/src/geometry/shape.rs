@@ -17,9 +17,9 @@ impl Shape {
     /// That of a ball.
     pub const BALL: Self = Self { rotation: DQuat::IDENTITY, ratios: [1.0; 2] };
 
-    /// The radius and the shape of an ellipsoid with semi-axes of these lengths, in any order, along
-    /// the axes x, y and z turned by a rotation, which need not be of length one. `None` if a length
-    /// is not a finite number above 0, or the rotation is none.
+    /// The radius and the shape of an ellipsoid with semi-axes of these lengths, in any order,
+    /// along the axes x, y and z turned by a rotation, which need not be of length one. `None` if a
+    /// length is not a finite number above 0, or the rotation is none.
     #[must_use]
     pub fn of_semi_axes(lengths: [f64; 3], rotation: DQuat) -> Option<(f64, Self)> {
         let largest = rotation.to_array().into_iter().fold(0.0, |largest: f64, v| largest.max(v.abs()));
@@ -29,7 +29,8 @@ impl Shape {
         if !is_usable {
             return None;
         }
-        // Divided first, because squares of numbers that are small or large enough are 0 or infinite.
+        // Divided first, because squares of numbers that are small or large enough are 0 or
+        // infinite.
         let axes = DMat3::from_quat((rotation / largest).normalize());
         let mut order = [0, 1, 2];
         order.sort_by(|&a, &b| lengths[b].total_cmp(&lengths[a]));
@@ -55,8 +56,8 @@ impl Shape {
         DMat3::from_cols(axes.x_axis, axes.y_axis * self.ratios[0], axes.z_axis * self.ratios[1])
     }
 
-    /// A = diag(1, 1/a₂, 1/a₃) Rᵀ: for a point of radius one at the origin, |A q| is the distance of
-    /// q in its units, 1 on the surface of its ellipsoid.
+    /// A = diag(1, 1/a₂, 1/a₃) Rᵀ: for a point of radius one at the origin, |A q| is the distance
+    /// of q in its units, 1 on the surface of its ellipsoid.
     #[must_use]
     pub fn unit_from_local(&self) -> DMat3 {
         let axes = DMat3::from_quat(self.rotation);

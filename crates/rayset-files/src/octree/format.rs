@@ -8,8 +8,8 @@ use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell,
 use crate::points::ColumnType;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{
-    BLOCK_BYTES, FileHeader, FileKind, Identity, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader, SectionKind,
-    Writer,
+    BLOCK_BYTES, FileHeader, FileKind, Identity, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader, SHAPE,
+    SectionKind, Writer,
 };
 
 /// The first eight bytes of every cloud file.
@@ -131,10 +131,14 @@ pub struct Header {
     pub weight: Column,
     /// Largest distance between a stored position and the original one, world space.
     pub position_error: f64,
-    /// The same as a fraction of the point's own radius.
+    /// The same as a fraction of the point's own radius, of points with shapes of the shortest
+    /// semi-axis.
     pub position_error_radii: f64,
     /// Whether points have colours.
     pub has_color: bool,
+    /// The least and the largest ratio of a point's shortest semi-axis to its radius, if each
+    /// stores a shape; `None` if all points are balls.
+    pub shape: Option<(f32, f32)>,
     /// Attribute columns.
     pub attributes: Vec<AttributeInfo>,
     /// Number of bytes of the file that hold the data of points.
@@ -166,10 +170,22 @@ enum Role {
     Weight,
     Color,
     Attribute,
+    Shape,
 }
 
 impl Role {
-    const ALL: [Self; 4] = [Self::Radius, Self::Weight, Self::Color, Self::Attribute];
+    const ALL: [Self; 5] = [Self::Radius, Self::Weight, Self::Color, Self::Attribute, Self::Shape];
+
+    /// Its place in the order of the columns of a run.
+    fn place(self) -> u8 {
+        match self {
+            Self::Radius => 0,
+            Self::Weight => 1,
+            Self::Color => 2,
+            Self::Shape => 3,
+            Self::Attribute => 4,
+        }
+    }
 }
 
 const STORED: u8 = 1;
@@ -228,9 +244,16 @@ impl Header {
     #[doc(hidden)]
     #[must_use]
     pub fn column_layout(&self, attributes: usize) -> ColumnLayout {
-        let four = [self.radius.is_stored(), self.weight.is_stored(), self.has_color];
-        let layout = four.iter().filter(|&&stored| stored).fold(ColumnLayout::default(), |l, _| l.with(4));
+        let layout = self.layout_before_shape();
+        let layout = if self.shape.is_some() { layout.with_shape() } else { layout };
         self.attributes[..attributes].iter().fold(layout, |l, a| l.with(a.kind.bytes()))
+    }
+
+    /// The layout of the columns before the shapes.
+    #[inline]
+    pub(super) fn layout_before_shape(&self) -> ColumnLayout {
+        let four = [self.radius.is_stored(), self.weight.is_stored(), self.has_color];
+        four.iter().filter(|&&stored| stored).fold(ColumnLayout::default(), |l, _| l.with(4))
     }
 
     /// Encodes the section `CLOU`.
@@ -270,6 +293,10 @@ impl Header {
         if self.has_color {
             let color = AttributeInfo { kind: ColumnType::U8, max: 255.0, ..shared(Column::Constant(0.0)) };
             columns.push((Role::Color, true, color));
+        }
+        if let Some((min, max)) = self.shape {
+            let ratios = shared(Column::Varying { min, max });
+            columns.push((Role::Shape, true, AttributeInfo { kind: ColumnType::U16, ..ratios }));
         }
         columns.extend(self.attributes.iter().map(|a| (Role::Attribute, true, a.clone())));
         let mut w = Writer::default();
@@ -335,6 +362,7 @@ impl Header {
             radius: Column::Constant(1.0),
             weight: Column::Constant(1.0),
             has_color: false,
+            shape: None,
             attributes: Vec::new(),
             crs: String::new(),
             sources: Vec::new(),
@@ -368,9 +396,9 @@ impl Header {
             // The columns of a run are stored in this order, and the code that locates them relies
             // on it.
             if seen.is_some_and(|before| {
-                before as u8 > role as u8 || (before == role && role != Role::Attribute)
+                before.place() > role.place() || (before == role && role != Role::Attribute)
             }) {
-                return Err("the columns are not in the order radius, weight, colour, attributes");
+                return Err("the columns are not in the order radius, weight, colour, shape, attributes");
             }
             seen = Some(role);
             if !(min <= max) {
@@ -379,9 +407,11 @@ impl Header {
             let expected = match role {
                 Role::Radius | Role::Weight => ColumnType::F32,
                 Role::Color => ColumnType::U8,
+                Role::Shape => ColumnType::U16,
                 Role::Attribute => kind,
             };
-            if kind != expected || (!is_stored && matches!(role, Role::Color | Role::Attribute)) {
+            let may_be_shared = matches!(role, Role::Radius | Role::Weight);
+            if kind != expected || (!is_stored && !may_be_shared) {
                 return Err(
                     "a column of a type, or shared by all points, where its purpose does not allow it",
                 );
@@ -397,6 +427,7 @@ impl Header {
                 Role::Radius => (self.radius, has_radius) = (shared, true),
                 Role::Weight => (self.weight, has_weight) = (shared, true),
                 Role::Color => self.has_color = is_stored,
+                Role::Shape => self.shape = Some((min as f32, max as f32)),
                 Role::Attribute if self.attributes.iter().any(|a| a.name == name) => {
                     return Err("two attributes of one name");
                 }
@@ -414,6 +445,9 @@ impl Header {
 
     fn check_ranges(&self, file: &FileHeader) -> Result<(), &'static str> {
         debug_assert_eq!(file.kind, FileKind::Cloud);
+        if self.shape.is_some() != (file.required_features & SHAPE != 0) {
+            return Err("shapes of points without the feature that they require, or the reverse");
+        }
         let in_place = |kind, first_page: u32| {
             file.section(kind).is_none_or(|s| s.offset == self.page_offset(first_page))
         };
@@ -456,7 +490,8 @@ impl Header {
             && self.radius_mean > 0.0
             && self.radius_mean.is_finite()
             && self.weight.min() >= -LARGEST
-            && self.weight.max() <= LARGEST;
+            && self.weight.max() <= LARGEST
+            && self.shape.is_none_or(|(least, most)| least > 0.0 && most <= 1.0);
         if !finite {
             return Err("bounds, radii or weights are out of their ranges");
         }

@@ -1,6 +1,7 @@
 //! Sizes and limits of the contents of pages: runs and their columns, nodes, and the root cell to
 //! which positions are relative.
 
+use super::shape::SHAPE_COLUMNS;
 use rayset_base::geometry::DVec3;
 use rayset_base::geometry::curve::MAX_LEVEL;
 use rayset_store::container::{BLOCK_BYTES, MAX_PAGE_BYTES, PAGE_HEAD_BYTES};
@@ -53,6 +54,12 @@ impl ColumnLayout {
             2 => Self { halves: self.halves + 1, ..self },
             wide => Self { words: self.words + wide as u32, ..self },
         }
+    }
+
+    /// The layout with shapes after the other columns.
+    #[must_use]
+    pub fn with_shape(self) -> Self {
+        (0..SHAPE_COLUMNS).fold(self, |layout, _| layout.with(2))
     }
 
     /// Size in bytes of the columns of a run of `points` points.

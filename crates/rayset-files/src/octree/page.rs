@@ -5,6 +5,7 @@
 
 use super::format::Header;
 use super::layout::{ColumnLayout, RUN_HEAD_BYTES, RUN_POINTS, RootCell};
+use super::shape::StoredShape;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
 
@@ -24,12 +25,15 @@ pub enum Encoding {
     U32,
     /// Three columns of `f64` world coordinates: exact.
     F64,
+    /// Three columns of 24-bit offsets, of points with shapes, whose thinnest axes need finer
+    /// steps.
+    U24,
 }
 
 impl Encoding {
     #[inline]
     fn from_code(code: u16) -> Option<Self> {
-        [Self::U16, Self::U32, Self::F64].get(usize::from(code)).copied()
+        [Self::U16, Self::U32, Self::F64, Self::U24].get(usize::from(code)).copied()
     }
 
     fn code(self) -> u16 {
@@ -37,13 +41,18 @@ impl Encoding {
             Self::U16 => 0,
             Self::U32 => 1,
             Self::F64 => 2,
+            Self::U24 => 3,
         }
     }
 
     /// Number of steps in one unit of a run's extent.
     #[inline]
     pub(super) fn extent_steps(self) -> f64 {
-        if self == Self::U32 { 16_777_216.0 } else { 256.0 }
+        match self {
+            Self::U32 => 16_777_216.0,
+            Self::U24 => 65_536.0,
+            Self::U16 | Self::F64 => 256.0,
+        }
     }
 
     /// Bytes of one point's position.
@@ -52,6 +61,7 @@ impl Encoding {
     pub fn position_bytes(self) -> usize {
         match self {
             Self::U16 => 6,
+            Self::U24 => 9,
             Self::U32 => 12,
             Self::F64 => 24,
         }
@@ -63,8 +73,8 @@ impl Encoding {
 pub struct RunHead {
     /// Corner, in units of the root cell's edge / 2²⁴.
     pub(super) origin: [u32; 3],
-    /// Edge lengths of the position bounds, in units of 2⁸ steps (2²⁴ for the 32-bit encoding),
-    /// rounded up.
+    /// Edge lengths of the position bounds, in units of 2⁸ steps (2¹⁶ for the 24-bit encoding, 2²⁴
+    /// for the 32-bit one), rounded up.
     pub(super) extent: [u8; 3],
     pub(super) radius_max: u16,
     pub(super) count: u8,
@@ -209,6 +219,9 @@ impl<'a> PointPage<'a> {
         for index in 0..page.runs {
             let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
             let run = RunHead::decode(&bytes[at..at + RUN_HEAD_BYTES])?;
+            if run.encoding == Encoding::U24 && header.shape.is_none() {
+                return Err(PageError::Content { what: "a run of an encoding for points with shapes" });
+            }
             let start = 4 * usize::from(run.offset_words);
             if start < PAGE_HEAD_BYTES + page.runs * RUN_HEAD_BYTES {
                 return Err(PageError::Content { what: "a run whose data begin within the records" });
@@ -300,6 +313,13 @@ impl<'a> Run<'a> {
                         value(axis, i, f64::from(u32::from_le_bytes(b)) * step - half[axis]);
                     }
                 }
+                Encoding::U24 => {
+                    let column = &self.data[3 * n * axis..3 * n * (axis + 1)];
+                    for (i, b) in column.chunks_exact(3).enumerate() {
+                        let offset = u32::from_le_bytes([b[0], b[1], b[2], 0]);
+                        value(axis, i, f64::from(offset) * step - half[axis]);
+                    }
+                }
                 Encoding::F64 => {
                     let center = bounds.center()[axis];
                     for (i, b) in self.data[8 * n * axis..8 * n * (axis + 1)].chunks_exact(8).enumerate() {
@@ -379,6 +399,20 @@ impl<'a> Run<'a> {
         header
             .has_color
             .then(|| self.words(self.column_start() + 4 * n * column, n).map(|w| [w[0], w[1], w[2]]))
+    }
+
+    /// The shapes, if the header says that there are any.
+    #[inline]
+    pub fn shapes(&self, header: &Header) -> Option<impl Iterator<Item = StoredShape> + use<'a>> {
+        header.shape?;
+        let (n, data) = (self.head.len(), self.data);
+        let column_bytes = (2 * n).next_multiple_of(4);
+        let first = self.column_start() + header.layout_before_shape().run_bytes(n);
+        let word = move |column: usize, i: usize| {
+            let at = first + column_bytes * column + 2 * i;
+            u16::from_le_bytes([data[at], data[at + 1]])
+        };
+        Some((0..n).map(move |i| StoredShape(std::array::from_fn(|column| word(column, i)))))
     }
 
     /// An attribute column, by its index in the header, rounded to `f32`.

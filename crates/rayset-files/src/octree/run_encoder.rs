@@ -4,6 +4,7 @@ use super::layout::{RUN_POINTS, RootCell};
 use super::page::{
     COARSEST_STEP, Encoding, ORIGIN_STEPS, RunHead, STEP_CODES, round_up_to_16_bits, step_fraction,
 };
+use super::shape::{SHAPE_COLUMNS, StoredShape};
 use rayset_base::geometry::{Aabb, DVec3};
 
 /// The columns of one run, as provided by the builder.
@@ -19,6 +20,8 @@ pub struct RunColumns<'a> {
     pub weight: Option<&'a [f32]>,
     /// Colours, if they are stored.
     pub color: Option<&'a [[u8; 3]]>,
+    /// Shapes, if they are stored.
+    pub shape: Option<&'a [StoredShape]>,
     /// Attribute columns, each value in its own type, little-endian.
     pub attributes: &'a [&'a [u8]],
 }
@@ -30,14 +33,15 @@ pub struct EncodedRun {
     pub head: RunHead,
     /// Largest distance between a stored and a given position, world space.
     pub position_error: f64,
-    /// The same divided by the smallest radius of the run.
+    /// The same divided by the smallest radius of the run, of points with shapes by the shortest
+    /// semi-axis.
     pub position_error_radii: f64,
 }
 
 /// Encodes a run, appending its data to `data`.
 ///
 /// `precision` is the largest position error allowed, as a fraction of the smallest radius of the
-/// run; with zero, positions are stored exactly.
+/// run, of points with shapes of the shortest semi-axis; with zero, positions are stored exactly.
 pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &mut Vec<u8>) -> EncodedRun {
     let mut bounds = Aabb::EMPTY;
     run.position.iter().for_each(|p| bounds.include(DVec3::from_array(*p)));
@@ -46,7 +50,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
         ((bounds.min - root.min) / cell).floor().max(DVec3::ZERO).min(DVec3::splat(ORIGIN_STEPS - 1.0));
     let corner = root.min + origin * cell;
     let extent = (bounds.max - corner).max(DVec3::ZERO);
-    let radius_min = f64::from(run.radius.iter().copied().fold(f32::INFINITY, f32::min));
+    let shortest = shortest_semi_axis(run);
     let radius_max = run.radius.iter().copied().fold(0.0, f32::max);
 
     // For each encoding, the finest step whose largest offset fits; of the encodings, the smallest
@@ -54,10 +58,13 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     let finest = |steps: f64| step_code_for(extent.max_element() / steps, root.size);
     let step = |code: u8| root.size * step_fraction(code);
     let worst_error = |code: u8| 0.5 * 3_f64.sqrt() * step(code);
-    let good = |code: u8| worst_error(code) <= precision * radius_min;
+    let good = |code: u8| worst_error(code) <= precision * shortest;
     let (code_u16, code_u32) = (finest(65279.0), finest(4_278_000_000.0));
+    let code_u24 = finest(16_711_000.0);
     let (encoding, step_code) = if precision > 0.0 && good(code_u16) {
         (Encoding::U16, code_u16)
+    } else if precision > 0.0 && run.shape.is_some() && good(code_u24) {
+        (Encoding::U24, code_u24)
     } else if precision > 0.0 && good(code_u32) {
         (Encoding::U32, code_u32)
     } else {
@@ -77,6 +84,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
             let offset = nearest_whole((p[axis] - corner[axis]) / step);
             match encoding {
                 Encoding::U16 => data.extend_from_slice(&(offset as u16).to_le_bytes()),
+                Encoding::U24 => data.extend_from_slice(&offset.to_le_bytes()[..3]),
                 _ => data.extend_from_slice(&offset.to_le_bytes()),
             }
             let error = corner[axis] + f64::from(offset) * step - p[axis];
@@ -94,6 +102,13 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     }
     if let Some(color) = run.color {
         color.iter().for_each(|c| data.extend_from_slice(&[c[0], c[1], c[2], 0]));
+    }
+    for word in 0..run.shape.map_or(0, |_| SHAPE_COLUMNS) {
+        run.shape
+            .into_iter()
+            .flatten()
+            .for_each(|shape| data.extend_from_slice(&shape.0[word].to_le_bytes()));
+        data.resize(start + (data.len() - start).next_multiple_of(4), 0);
     }
     for attribute in run.attributes {
         data.extend_from_slice(attribute);
@@ -114,7 +129,19 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     };
     // Squares of errors below 1e-154 underflow, but a nonzero error must not be reported as zero.
     let position_error = errors_squared.iter().copied().fold(0.0, f64::max).sqrt().max(worst_axis);
-    EncodedRun { head, position_error, position_error_radii: position_error / radius_min }
+    EncodedRun { head, position_error, position_error_radii: position_error / shortest }
+}
+
+/// The shortest semi-axis of all points, of balls the radius.
+fn shortest_semi_axis(run: &RunColumns<'_>) -> f64 {
+    let radii = run.radius.iter().copied().map(f64::from);
+    match run.shape {
+        None => radii.fold(f64::INFINITY, f64::min),
+        Some(shapes) => {
+            let semi_axes = radii.zip(shapes).map(|(radius, shape)| radius * shape.decode().ratios[1]);
+            semi_axes.fold(f64::INFINITY, f64::min)
+        }
+    }
 }
 
 /// The nearest whole number, halves upwards; below 0 it is 0. Without the processor's own

@@ -113,6 +113,17 @@ mod tests {
     }
 
     #[test]
+    fn the_words_of_a_shape_are_those_that_the_format_says() {
+        let shape = Shape { rotation: DQuat::from_xyzw(0.0, 0.0, 0.8, 0.6), ratios: [0.5, 0.25] };
+        // The largest is number 2; behind it follow w, x and y.
+        let words = [16_384 + 13_901, 16_384 | 1 << 15, 16_384, (15 << 12) - 1, (14 << 12) - 1];
+        assert_eq!(StoredShape::encode(&shape).0, words);
+        let opposite = Shape { rotation: -shape.rotation, ..shape };
+        assert_eq!(StoredShape::encode(&opposite).0, words);
+        assert_eq!(StoredShape([16_384, 16_384, 16_384, 65_535, 0]).decode().ratios, [1.0, LEAST_RATIO]);
+    }
+
+    #[test]
     fn a_ball_and_axes_that_are_those_of_space_are_stored_exactly() {
         assert_eq!(StoredShape::encode(&Shape::BALL).decode(), Shape::BALL);
         let half = Shape { rotation: DQuat::IDENTITY, ratios: [0.5, 0.25] };

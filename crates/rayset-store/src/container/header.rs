@@ -28,6 +28,10 @@ pub(super) const SECTION_BYTES: usize = 32;
 /// The required feature of grids whose bricks are not cubes.
 pub const BRICK_SHAPE: u64 = 1;
 
+/// The required feature of clouds whose points have shapes. It is not among those that
+/// [`FileHeader::check_features`] knows: nothing draws such clouds yet.
+pub const SHAPE: u64 = 1;
+
 /// What a file holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]

@@ -374,6 +374,7 @@ impl Assembler {
             position_error: summary.position_error,
             position_error_radii: summary.position_error_radii,
             has_color: survey.layout.has_color,
+            shape: None,
             attributes: survey.attributes.clone(),
             point_data_bytes: self.point_data_bytes,
             render_memory: context.options.render_memory.unwrap_or(0),

@@ -188,6 +188,7 @@ impl Packer {
             store_radius: self.store_radius,
             weight: self.store_weight.then_some(columns.weight.as_slice()),
             color: self.layout.has_color.then_some(columns.color.as_slice()),
+            shape: None,
             attributes: &attributes,
         };
         let start = piece.data.len();

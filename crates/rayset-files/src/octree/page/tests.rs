@@ -1,7 +1,12 @@
 //! Tests of the guarantees of an encoded run.
 
 use super::*;
+use crate::octree::format::{AttributeInfo, Column};
+use crate::octree::layout::NodeRef;
 use crate::octree::run_encoder::{RunColumns, encode_run, step_code_for};
+use crate::octree::shape::SHAPE_COLUMNS;
+use crate::points::ColumnType;
+use rayset_base::geometry::{DQuat, Shape};
 
 #[test]
 fn the_step_of_a_run_is_the_finest_that_is_large_enough() {
@@ -46,6 +51,7 @@ fn the_bounds_of_a_run_hold_its_points_closely() {
                     store_radius: false,
                     weight: None,
                     color: None,
+                    shape: None,
                     attributes: &[],
                 };
                 let mut data = Vec::new();
@@ -64,6 +70,104 @@ fn the_bounds_of_a_run_hold_its_points_closely() {
                     wider <= slack,
                     "{extent:?}, {precision}: {wider} wider than the points, {slack} allowed"
                 );
+            }
+        }
+    }
+}
+
+/// The header of a file whose points have radii, colours and shapes, and one attribute of two
+/// bytes.
+fn header_with_shapes() -> Header {
+    let attribute = AttributeInfo {
+        name: "class".to_owned(),
+        kind: ColumnType::U16,
+        unit: String::new(),
+        is_class: false,
+        min: 0.0,
+        max: 200.0,
+    };
+    let mut header = Header {
+        identity: rayset_store::container::Identity::default(),
+        page_bytes: 65536,
+        point_pages: 1,
+        node_pages: 1,
+        file_bytes: 0,
+        points: 100,
+        skipped: 0,
+        nodes: 1,
+        root: NodeRef::default(),
+        root_min: DVec3::ZERO,
+        root_size: 128.0,
+        bounds: Aabb::new(DVec3::ZERO, DVec3::splat(100.0)),
+        radius: Column::Varying { min: 0.1, max: 2.0 },
+        radius_mean: 1.0,
+        radius_scale: 1.0,
+        weight: Column::Constant(1.0),
+        position_error: 0.0,
+        position_error_radii: 0.0,
+        has_color: true,
+        shape: Some((1e-3, 1.0)),
+        attributes: vec![attribute],
+        point_data_bytes: 0,
+        render_memory: 0,
+        crs: String::new(),
+        sources: Vec::new(),
+        up: None,
+        step: None,
+        copies: 0,
+        columns: ColumnLayout::default(),
+    };
+    header.columns = header.column_layout(1);
+    header
+}
+
+#[test]
+fn points_with_shapes_are_placed_as_their_thinnest_axes_need_and_take_fourteen_bytes_more() {
+    let header = header_with_shapes();
+    let root = header.root_cell();
+    for count in [1, 2, 77, 128] {
+        let position = points(count, 3.5, [6.0, 5.0, 7.0]);
+        let radius: Vec<f32> = (0..count).map(|i| 0.2 + 0.01 * i as f32).collect();
+        let color: Vec<[u8; 3]> = (0..count).map(|i| [i as u8, 1, 2]).collect();
+        let classes: Vec<u8> = (0..count as u16).flat_map(u16::to_le_bytes).collect();
+        let shape = |i: usize, thinnest: f64| {
+            let rotation = DQuat::from_rotation_x(i as f64) * DQuat::from_rotation_y(0.7 * i as f64);
+            StoredShape::encode(&Shape { rotation, ratios: [0.9, thinnest] })
+        };
+        for (thinnest, encoding) in [(0.5, Encoding::U24), (0.01, Encoding::U24), (1e-4, Encoding::U32)] {
+            let shapes: Vec<StoredShape> = (0..count).map(|i| shape(i, thinnest)).collect();
+            let run = RunColumns {
+                position: &position,
+                radius: &radius,
+                store_radius: true,
+                weight: None,
+                color: Some(&color),
+                shape: Some(&shapes),
+                attributes: &[&classes],
+            };
+            let mut data = Vec::new();
+            let encoded = encode_run(&run, root, 1.0 / 4096.0, &mut data);
+            assert!(encoded.position_error_radii <= 1.0 / 4096.0);
+            if count > 2 {
+                assert_eq!(encoded.head.encoding(), encoding, "{count} points of {thinnest}");
+            }
+            assert_eq!(data.len(), encoded.head.data_bytes(header.columns));
+            let balls = RunColumns { shape: None, ..run };
+            let mut of_balls = Vec::new();
+            let balls = encode_run(&balls, root, 1.0 / 4096.0, &mut of_balls).head;
+            if balls.encoding() == Encoding::U16 && encoding == Encoding::U24 {
+                let most = 14 * count + 4 * (3 + SHAPE_COLUMNS);
+                assert!(data.len() - of_balls.len() <= most, "{} bytes more", data.len() - of_balls.len());
+            }
+            let run = Run { head: encoded.head, data: &data };
+            let stored: Vec<StoredShape> = run.shapes(&header).unwrap().collect();
+            assert_eq!(stored, shapes);
+            assert_eq!(run.radii(&header).unwrap().collect::<Vec<_>>(), radius);
+            assert_eq!(run.colors(&header).unwrap().collect::<Vec<_>>(), color);
+            assert_eq!(run.attribute_bytes(&header, 0), classes);
+            for (is, (was, radius)) in run.positions(root).iter().zip(position.iter().zip(&radius)) {
+                let error = is.distance(DVec3::from_array(*was));
+                assert!(error <= f64::from(*radius) * thinnest / 4096.0, "{error} of {radius}");
             }
         }
     }
