@@ -3,8 +3,9 @@
 
 use super::kernel::Kernel;
 use super::run::{AttributeColumns, linear_from_srgb};
-use rayset_base::geometry::{DVec3, Ray};
+use rayset_base::geometry::{DVec3, Ray, Shape};
 use rayset_files::octree::Cloud;
+use rayset_files::octree::shape::StoredShape;
 use rayset_store::container::ScanError;
 
 /// A point in double precision.
@@ -12,8 +13,10 @@ use rayset_store::container::ScanError;
 pub struct JudgePoint {
     /// Position in the cloud's space.
     pub position: DVec3,
-    /// Radius.
+    /// Radius: the longest semi-axis.
     pub radius: f64,
+    /// Shape; `None` for a ball.
+    pub shape: Option<Shape>,
     /// Weight.
     pub weight: f64,
     /// One value for each channel of [`AttributeColumns`].
@@ -63,6 +66,7 @@ impl ReferenceField {
             let radii = run.radii(header).map_or_else(|| constant(header.radius.min()), Iterator::collect);
             let weights =
                 run.weights(header).map_or_else(|| constant(header.weight.min()), Iterator::collect);
+            let shapes = run.shapes(header).map(|shapes| shapes.map(StoredShape::decode).collect::<Vec<_>>());
             let mut attributes = vec![Vec::new(); n];
             if columns.color {
                 for (a, c) in attributes.iter_mut().zip(run.colors(header).into_iter().flatten()) {
@@ -82,7 +86,8 @@ impl ReferenceField {
             for (i, position) in positions.into_iter().enumerate() {
                 let (radius, weight) = (f64::from(radii[i]), f64::from(weights[i]));
                 let attributes = std::mem::take(&mut attributes[i]);
-                points.push(JudgePoint { position, radius, weight, attributes });
+                let shape = shapes.as_ref().map(|shapes| shapes[i]);
+                points.push(JudgePoint { position, radius, shape, weight, attributes });
             }
         })?;
         let is_label = |&number: &usize| header.attributes.get(number).is_some_and(|a| a.is_class);
@@ -105,7 +110,9 @@ impl ReferenceField {
         Self { points, labels: self.labels.clone(), ..*self }
     }
 
-    /// The field at the position `q`, in the cloud's space.
+    /// The field at the position `q`, in the cloud's space: with A as
+    /// [`unit_from_local`](Shape::unit_from_local) says, x = |A(q − p)|/r, D = Σ v·ω(x) and
+    /// ∇D = Σ v·(ω′/x)·AᵀA(q − p)/r². Normalised, v is divided by ∫ω dV over the ellipsoid.
     #[must_use]
     pub fn sample(&self, q: DVec3) -> ReferenceSample {
         let mut sum = ReferenceSample::default();
@@ -114,15 +121,20 @@ impl ReferenceField {
         for p in &self.points {
             let offset = q - p.position;
             let inverse = 1.0 / (p.radius * p.radius);
-            let s = offset.length_squared() * inverse;
+            let unit_from_local = p.shape.map(|shape| shape.unit_from_local());
+            let place = unit_from_local.map_or(offset, |unit_from_local| unit_from_local * offset);
+            let s = place.length_squared() * inverse;
             if s >= 1.0 {
                 continue;
             }
-            let norm = if self.normalised { 1.0 / (p.radius.powi(3) * self.kernel.integral()) } else { 1.0 };
+            let volume = p.radius.powi(3) * p.shape.map_or(1.0, |shape| shape.volume());
+            let norm = if self.normalised { 1.0 / (volume * self.kernel.integral()) } else { 1.0 };
             let weight = p.weight * norm;
             let value = weight * self.kernel.value(s);
             sum.density += value;
-            sum.gradient += offset * (weight * self.kernel.slope_over_x(s) * inverse);
+            let slope = weight * self.kernel.slope_over_x(s) * inverse;
+            let back = unit_from_local.map_or(place, |unit_from_local| unit_from_local.transpose() * place);
+            sum.gradient += back * slope;
             sum.attributes.resize(p.attributes.len(), 0.0);
             for (sum, a) in sum.attributes.iter_mut().zip(&p.attributes) {
                 *sum += value * a;
@@ -139,5 +151,73 @@ impl ReferenceField {
             }
         }
         sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rayset_base::geometry::DQuat;
+
+    fn field(kernel: Kernel, normalised: bool, radius: f64, shape: Option<Shape>) -> ReferenceField {
+        let position = DVec3::new(0.3, -0.2, 0.1);
+        let point = JudgePoint { position, radius, shape, weight: 1.5, attributes: vec![2.0] };
+        ReferenceField { points: vec![point], kernel, normalised, labels: Vec::new() }
+    }
+
+    fn shape() -> impl Strategy<Value = Shape> {
+        let numbers = (prop::array::uniform3(0.05..1.0_f64), prop::array::uniform4(-1.0..1.0_f64));
+        numbers.prop_filter_map("a rotation", |(lengths, q)| {
+            Shape::of_semi_axes(lengths, DQuat::from_array(q)).map(|(_, shape)| shape)
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn the_gradient_of_an_ellipsoid_is_that_of_its_density(
+            kernel in prop::sample::select(Kernel::ALL),
+            shape in shape(),
+            at in prop::array::uniform3(-0.6..0.6_f64),
+        ) {
+            let field = field(kernel, false, 1.7, Some(shape));
+            let to = shape.semi_axes() * DVec3::from_array(at) * 1.7;
+            let q = field.points[0].position + to;
+            let step = 1e-5 * 1.7 * shape.ratios[1];
+            let density = |q: DVec3| field.sample(q).density;
+            let differences = DVec3::AXES.map(|axis| density(q + axis * step) - density(q - axis * step));
+            let expected = DVec3::from_array(differences) / (2.0 * step);
+            let gradient = field.sample(q).gradient;
+            let error = gradient.distance(expected);
+            prop_assert!(error < 1e-3 * (1.0 / shape.ratios[1]), "{gradient} and {expected}");
+        }
+
+        #[test]
+        fn a_normalised_ellipsoid_has_the_mass_of_its_weight(
+            kernel in prop::sample::select(Kernel::ALL),
+            shape in shape(),
+        ) {
+            let field = field(kernel, true, 1.7, Some(shape));
+            // Cells of a lattice in the ellipsoid's own space.
+            let cells = 40_i32;
+            let cell = |i: i32| (f64::from(i) + 0.5) * 2.0 / f64::from(cells) - 1.0;
+            let mut sum = 0.0;
+            for i in 0..cells.pow(3) {
+                let place = DVec3::new(cell(i % cells), cell(i / cells % cells), cell(i / cells / cells));
+                sum += field.sample(field.points[0].position + shape.semi_axes() * place * 1.7).density;
+            }
+            let mass = sum * (2.0 / f64::from(cells)).powi(3) * 1.7_f64.powi(3) * shape.volume();
+            prop_assert!((mass / 1.5 - 1.0).abs() < 3e-3, "{mass}");
+        }
+
+        #[test]
+        fn a_shape_that_is_a_ball_is_one(
+            kernel in prop::sample::select(Kernel::ALL),
+            at in prop::array::uniform3(-1.0..1.0_f64),
+        ) {
+            let q = DVec3::from_array(at);
+            let of = |shape| field(kernel, true, 1.1, shape).sample(q);
+            prop_assert_eq!(of(Some(Shape::BALL)), of(None));
+        }
     }
 }
