@@ -9,7 +9,7 @@ use rayset::field::reference::ReferenceSample;
 use rayset::geometry::{DVec3, Ray};
 use rayset::scene::{Camera, CloudObject, RenderSettings};
 use rayset::scene::{CameraError, Scene};
-use rayset::trace::reference::{PointField, Purpose, ReferenceError, ReferenceRenderer};
+use rayset::trace::reference::{PointField, Purpose, ReferenceError, ReferenceRenderer, ReferenceSteps};
 
 use crate::cache::CacheError;
 use crate::predict::{Foresight, Predictor};
@@ -297,9 +297,10 @@ pub fn render<'a>(
     pixels: impl IntoIterator<Item = (u32, u32)>,
 ) -> Result<Picture, EngineError> {
     let reference_renderer = ReferenceRenderer::with_fields(scene, field)?;
+    let steps = ReferenceSteps::same(step);
     let mut picture = Picture::new();
     for (x, y) in pixels {
-        let pixel = reference_renderer.pixel(camera, settings, step, x, y)?;
+        let pixel = reference_renderer.pixel(camera, settings, &steps, x, y)?;
         if let Some(error) = failure.borrow_mut().take() {
             return Err(error.into());
         }

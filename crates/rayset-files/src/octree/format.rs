@@ -5,6 +5,7 @@
 //! [`rayset_store::container`].
 
 use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell, nodes_per_page};
+use super::shape::LEAST_RATIO;
 use crate::points::ColumnType;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{
@@ -163,14 +164,14 @@ pub struct Header {
     pub columns: ColumnLayout,
 }
 
-/// The role of a column of the file.
+/// The role of a column of the file, and its number there.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Role {
-    Radius,
-    Weight,
-    Color,
-    Attribute,
-    Shape,
+    Radius = 0,
+    Weight = 1,
+    Color = 2,
+    Attribute = 3,
+    Shape = 4,
 }
 
 impl Role {
@@ -491,7 +492,7 @@ impl Header {
             && self.radius_mean.is_finite()
             && self.weight.min() >= -LARGEST
             && self.weight.max() <= LARGEST
-            && self.shape.is_none_or(|(least, most)| least > 0.0 && most <= 1.0);
+            && self.shape.is_none_or(|(least, most)| f64::from(least) >= LEAST_RATIO && most <= 1.0);
         if !finite {
             return Err("bounds, radii or weights are out of their ranges");
         }

@@ -31,9 +31,10 @@ pub enum Encoding {
 }
 
 impl Encoding {
+    /// That of the lowest two bits.
     #[inline]
-    fn from_code(code: u16) -> Option<Self> {
-        [Self::U16, Self::U32, Self::F64, Self::U24].get(usize::from(code)).copied()
+    fn from_code(code: u16) -> Self {
+        [Self::U16, Self::U32, Self::F64, Self::U24][usize::from(code & 3)]
     }
 
     fn code(self) -> u16 {
@@ -94,21 +95,19 @@ pub(super) fn step_fraction(code: u8) -> f64 {
 impl RunHead {
     /// Reads the record from its 18 bytes.
     #[inline]
-    pub fn decode(bytes: &[u8]) -> Result<Self, PageError> {
+    pub fn decode(bytes: &[u8]) -> Self {
         let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
         let u24_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], 0]);
-        let shape = u16_at(14);
-        let encoding = Encoding::from_code(shape >> 7 & 3)
-            .ok_or(PageError::Content { what: "a run of unknown encoding" })?;
-        Ok(Self {
+        let packed = u16_at(14);
+        Self {
             origin: [u24_at(0), u24_at(3), u24_at(6)],
             extent: [bytes[9], bytes[10], bytes[11]],
             radius_max: u16_at(12),
-            count: (shape & 0x7f) as u8 + 1,
-            encoding,
-            step_code: (shape >> 9) as u8,
+            count: (packed & 0x7f) as u8 + 1,
+            encoding: Encoding::from_code(packed >> 7),
+            step_code: (packed >> 9) as u8,
             offset_words: u16_at(16),
-        })
+        }
     }
 
     /// Writes the record into its 18 bytes.
@@ -117,9 +116,9 @@ impl RunHead {
             bytes[3 * axis..3 * axis + 3].copy_from_slice(&self.origin[axis].to_le_bytes()[..3]);
             bytes[9 + axis] = self.extent[axis];
         }
-        let shape = u16::from(self.count - 1) | self.encoding.code() << 7 | u16::from(self.step_code) << 9;
+        let packed = u16::from(self.count - 1) | self.encoding.code() << 7 | u16::from(self.step_code) << 9;
         bytes[12..14].copy_from_slice(&self.radius_max.to_le_bytes());
-        bytes[14..16].copy_from_slice(&shape.to_le_bytes());
+        bytes[14..16].copy_from_slice(&packed.to_le_bytes());
         bytes[16..18].copy_from_slice(&self.offset_words.to_le_bytes());
     }
 
@@ -218,7 +217,7 @@ impl<'a> PointPage<'a> {
         }
         for index in 0..page.runs {
             let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
-            let run = RunHead::decode(&bytes[at..at + RUN_HEAD_BYTES])?;
+            let run = RunHead::decode(&bytes[at..at + RUN_HEAD_BYTES]);
             if run.encoding == Encoding::U24 && header.shape.is_none() {
                 return Err(PageError::Content { what: "a run of an encoding for points with shapes" });
             }
@@ -264,8 +263,7 @@ impl<'a> PointPage<'a> {
     pub fn head(&self, index: usize) -> RunHead {
         assert!(index < self.runs, "run {index} of {}", self.runs);
         let at = PAGE_HEAD_BYTES + index * RUN_HEAD_BYTES;
-        let head =
-            RunHead::decode(&self.bytes[at..at + RUN_HEAD_BYTES]).expect("checked when the page was read");
+        let head = RunHead::decode(&self.bytes[at..at + RUN_HEAD_BYTES]);
         if self.radius_scale == 1.0 { head } else { head.with_radii_scaled(self.radius_scale) }
     }
 

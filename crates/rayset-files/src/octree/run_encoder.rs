@@ -103,12 +103,11 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     if let Some(color) = run.color {
         color.iter().for_each(|c| data.extend_from_slice(&[c[0], c[1], c[2], 0]));
     }
-    for word in 0..run.shape.map_or(0, |_| SHAPE_COLUMNS) {
-        run.shape
-            .into_iter()
-            .flatten()
-            .for_each(|shape| data.extend_from_slice(&shape.0[word].to_le_bytes()));
-        data.resize(start + (data.len() - start).next_multiple_of(4), 0);
+    if let Some(shapes) = run.shape {
+        for word in 0..SHAPE_COLUMNS {
+            shapes.iter().for_each(|shape| data.extend_from_slice(&shape.0[word].to_le_bytes()));
+            data.resize(start + (data.len() - start).next_multiple_of(4), 0);
+        }
     }
     for attribute in run.attributes {
         data.extend_from_slice(attribute);

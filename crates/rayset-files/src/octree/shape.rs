@@ -1,8 +1,9 @@
 //! Shapes of points as files store them: ten bytes each.
 //!
 //! Of a rotation the three smallest components of its quaternion are stored, 15 bits each: they err
-//! by 2⁻¹⁵/√2 at most, the axes by less than a hundredth of a degree. A ratio is stored as a number
-//! of 4 bits of exponent and 12 of mantissa, of 2⁻¹⁶ to 1: it errs by 1/8192 of itself.
+//! by half of 1/(16383·√2) at most, the axes by less than a hundredth of a degree. A ratio is
+//! stored as a number of 4 bits of exponent and 12 of mantissa, of 2⁻¹⁶ to 1: it errs by 1/8192 of
+//! itself.
 
 use rayset_base::geometry::{DQuat, Shape};
 
@@ -85,7 +86,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_stored_shape_is_close_to_its_own_and_stored_again_it_is_the_same(
+        fn a_stored_shape_is_close_to_its_own_and_stored_again_it_is_close_to_that(
             q in prop::array::uniform4(-1.0..1.0_f64),
             exponents in prop::array::uniform2(-16.0..0.0_f64),
         ) {
@@ -101,7 +102,10 @@ mod tests {
             for (is, was) in decoded.ratios.iter().zip(shape.ratios) {
                 prop_assert!((is / was.max(LEAST_RATIO) - 1.0).abs() <= 1.0 / 8192.0, "{is} of {was}");
             }
-            prop_assert_eq!(StoredShape::encode(&decoded), stored);
+            // Where two components are about the same, the other one may be left out then.
+            let again = StoredShape::encode(&decoded).decode();
+            prop_assert!(again.rotation.dot(decoded.rotation).abs().min(1.0).acos().to_degrees() < 0.01);
+            prop_assert_eq!(again.ratios, decoded.ratios);
         }
 
         #[test]
@@ -124,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ball_and_axes_that_are_those_of_space_are_stored_exactly() {
+    fn a_ball_and_axes_that_are_x_y_and_z_in_this_order_are_stored_exactly() {
         assert_eq!(StoredShape::encode(&Shape::BALL).decode(), Shape::BALL);
         let half = Shape { rotation: DQuat::IDENTITY, ratios: [0.5, 0.25] };
         assert_eq!(StoredShape::encode(&half).decode(), half);

@@ -55,6 +55,7 @@ impl Default for Frames {
 
 impl Frames {
     /// Sets everything for a run and a slab, of the groups of rays of which some are in `lanes`.
+    /// Others meet nothing, and keep what they had of the run before.
     #[inline(always)]
     pub(super) fn set<S: Simd>(
         &mut self,
@@ -76,12 +77,12 @@ impl Frames {
 
     /// Finds where the rays of a group are nearest to the run's centre.
     #[inline(always)]
-    fn find_feet(&mut self, run: &DecodedRun, packet: &Packet, first_sample: f64, first: usize) {
+    fn find_feet(&mut self, run: &DecodedRun, packet: &Packet, first_sample: f64, first_lane: usize) {
         let (o, d) = (&packet.origin, &packet.direction);
         let center = run.center.to_array();
         // Separate multiplications and additions: `f64` has enough precision, and fused operations
         // are slow on processors that have no instruction for them.
-        for lane in first..first + GROUP {
+        for lane in first_lane..first_lane + GROUP {
             let (x, y, z) = (o[0][lane] - center[0], o[1][lane] - center[1], o[2][lane] - center[2]);
             let t_foot = -(x * d[0][lane] + y * d[1][lane] + z * d[2][lane]);
             self.minus_foot[0][lane] = -(x + t_foot * d[0][lane]) as f32;
@@ -96,8 +97,8 @@ impl Frames {
 
     /// Finds the blocks of a group of rays that may lie within the run's bounds of influence.
     #[inline(always)]
-    fn find_blocks<S: Simd>(&mut self, simd: S, run: &DecodedRun, packet: &Packet, first: usize) {
-        for chunk in first / 8..(first + GROUP) / 8 {
+    fn find_blocks<S: Simd>(&mut self, simd: S, run: &DecodedRun, packet: &Packet, first_lane: usize) {
+        for chunk in first_lane / 8..(first_lane + GROUP) / 8 {
             let per_block = lanes_of(simd, &packet.per_block, chunk);
             let mut enter = f32x8::splat(simd, f32::NEG_INFINITY);
             let mut exit = f32x8::splat(simd, f32::INFINITY);

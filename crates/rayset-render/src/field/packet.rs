@@ -12,8 +12,8 @@ use rayset_base::geometry::{Aabb, Beam, DAffine3, DVec3, Ray};
 
 /// Number of rays in a packet.
 pub const LANES: usize = 64;
-/// Lanes that look for their points together: neighbours, where packets have their rays in the
-/// order of a Z curve.
+/// Lanes that look for their runs and points together: neighbours, where packets have their rays
+/// in the order of a Z curve.
 pub(super) const GROUP: usize = 16;
 /// Number of samples of a ray that are processed together.
 pub const SLAB_SAMPLES: usize = 32;

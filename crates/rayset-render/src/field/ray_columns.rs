@@ -22,7 +22,7 @@ pub struct RayColumns {
     spread: f64,
 }
 
-/// Some of the rays in columns: where each begins, which for others is nowhere.
+/// Some of the rays in columns: where each begins, which is at infinity for others.
 #[derive(Clone, Debug)]
 pub struct ChosenRays {
     lanes: u64,
@@ -47,7 +47,7 @@ pub struct Near {
     pub enter: [f32; LANES],
     /// Distance at which each of them leaves it.
     pub exit: [f32; LANES],
-    /// The least and the largest of these distances.
+    /// The least and the largest of these distances: infinity and 0 if there are none.
     pub span: (f32, f32),
 }
 
@@ -137,7 +137,7 @@ impl RayColumns {
                 continue;
             }
             let range = 16 * chunk..16 * chunk + 16;
-            // Who begins nowhere leaves everything before.
+            // A ray that begins at infinity leaves every box before.
             let mut enter = f32x16::from_slice(simd, &chosen.begin[range.clone()]);
             let mut exit = infinity;
             for axis in 0..3 {
@@ -145,7 +145,7 @@ impl RayColumns {
                 (enter, exit) = (enter.max(a - more), exit.min(b + more));
             }
             let is_near = enter.simd_le(exit);
-            near.lanes |= is_near.to_bitmask() << (16 * chunk);
+            near.lanes |= is_near.to_bitmask() << (16 * chunk) & chosen.lanes;
             first = first.min(is_near.select(enter, infinity));
             last = last.max(is_near.select(exit, zero));
             enter.store_slice(&mut near.enter[range.clone()]);

@@ -104,7 +104,7 @@ pub struct RunDecoder {
     radius: Option<f32>,
     /// Normalised, if kernels are and all radii are the same.
     weight: Option<f32>,
-    /// 1/∫ω dV over the unit ball if weights are to be normalised yet.
+    /// 1/∫ω dV over the unit ball, if each weight has to be normalised for itself.
     normalisation: Option<f64>,
     columns: AttributeColumns,
     linear_from_srgb: Box<[f32; 256]>,

@@ -39,8 +39,8 @@ pub struct Splatter {
 }
 
 impl Splatter {
-    /// Adds all runs of a batch to the samples of one slab, on the rays in `lanes`, and empties it.
-    /// `ends` may be given if no runs follow for this slab.
+    /// Adds all runs of a batch to the samples of one slab, on the rays in `lanes`, for which they
+    /// were appended, and empties it. `ends` may be given if no runs follow for this slab.
     pub fn splat(
         &self,
         batch: &mut RunBatch,

@@ -142,7 +142,7 @@ impl LiveRays {
         self.going.ticks_in(packet, bounds, || self.each(packet), self.going.apart)
     }
 
-    /// The same, of which no ray is bounded with others.
+    /// The same, and each ray is tested by itself, whatever the box is.
     pub(super) fn ticks_of_each(&self, packet: &Packet, bounds: &Aabb) -> Option<(u64, u64)> {
         self.going.ticks_in(packet, bounds, || self.each(packet), true)
     }

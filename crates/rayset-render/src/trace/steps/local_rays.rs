@@ -19,6 +19,7 @@ pub(super) struct LocalRays {
 
 /// Lanes that are clipped together, or not at all.
 const TOGETHER: usize = 16;
+const _: () = assert!(LANES.is_multiple_of(TOGETHER) && TOGETHER < 64);
 
 /// The rays by columns; unused ones repeat the last.
 struct Columns {

@@ -29,6 +29,8 @@ use rayset_files::octree::walk::{Visit, Visitor, Walk};
 /// the spheres in it.
 const GROUP_POINTS: usize = 16;
 
+const _: () = assert!(RUN_POINTS.is_multiple_of(GROUP_POINTS) && GROUP_POINTS.is_multiple_of(4));
+
 /// A node no wider than so many cells of the steps that its finest points ask for is not divided.
 const LONGEST_WHOLE: f64 = 2.0;
 
@@ -399,11 +401,12 @@ impl<'t> RunGroups<'t> {
             let (mut low, mut high) = (least, most);
             for at in (first..first + GROUP_POINTS).step_by(4) {
                 let (position, radius) = (of(&self.position[axis], at), of(&self.radius, at));
-                (low, high) = (low.min(position - radius), high.max(position + radius));
+                low = low.min_precise(position - radius);
+                high = high.max_precise(position + radius);
             }
-            (bounds.min[axis], bounds.max[axis]) = (low.reduce_min(), high.reduce_max());
+            (bounds.min[axis], bounds.max[axis]) = (low.reduce_min_precise(), high.reduce_max_precise());
         }
         let radii = (first..first + GROUP_POINTS).step_by(4).map(|at| of(&self.radius, at));
-        (bounds, radii.fold(least, |least, radius| least.min(radius)).reduce_min())
+        (bounds, radii.fold(least, |least, radius| least.min_precise(radius)).reduce_min_precise())
     }
 }

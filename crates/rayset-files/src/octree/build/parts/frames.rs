@@ -150,12 +150,12 @@ fn runs(from: &mut Reader<'_>, columns: ColumnLayout, data_bytes: usize) -> Opti
     let heads = from.slice(count.checked_mul(RUN_HEAD_BYTES)?)?;
     let mut at = 0;
     let mut run = |head: &[u8]| {
-        let head = RunHead::decode(head).ok()?;
+        let head = RunHead::decode(head);
         let data = at..at + head.data_bytes(columns);
         at = data.end;
-        Some(DraftRun { head, data, summary: Summary::EMPTY })
+        DraftRun { head, data, summary: Summary::EMPTY }
     };
-    let runs = heads.chunks_exact(RUN_HEAD_BYTES).map(&mut run).collect::<Option<Vec<_>>>()?;
+    let runs: Vec<DraftRun> = heads.chunks_exact(RUN_HEAD_BYTES).map(&mut run).collect();
     (at == data_bytes).then_some(runs)
 }
 
