@@ -82,7 +82,8 @@ impl Cloud {
             return None;
         }
         let radius_mean = known.radius_mean * f64::from(factor);
-        let header = Header { radius, radius_mean, radius_scale: factor, ..known.clone() };
+        let shape = known.shape.map(|(least, most)| (least * factor, most * factor));
+        let header = Header { radius, radius_mean, radius_scale: factor, shape, ..known.clone() };
         let file = PagedFile { header, ..stored.file.clone() };
         Some(Self { file, stored: Some(stored.clone()) })
     }

@@ -5,7 +5,6 @@
 //! [`rayset_store::container`].
 
 use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell, nodes_per_page};
-use super::shape::LEAST_RATIO;
 use crate::points::ColumnType;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{
@@ -137,8 +136,8 @@ pub struct Header {
     pub position_error_radii: f64,
     /// Whether points have colours.
     pub has_color: bool,
-    /// The least and the largest ratio of a point's shortest semi-axis to its radius, if each
-    /// stores a shape; `None` if all points are balls.
+    /// The least and the largest of the points' shortest semi-axes, world space, if each stores a
+    /// shape; `None` if all points are balls. See [`details`](Self::details).
     pub shape: Option<(f32, f32)>,
     /// Attribute columns.
     pub attributes: Vec<AttributeInfo>,
@@ -241,6 +240,13 @@ impl Header {
         self.point_pages + self.node_pages
     }
 
+    /// The least and the largest detail of the points: the shortest semi-axis, of balls the radius;
+    /// world space.
+    #[must_use]
+    pub fn details(&self) -> (f32, f32) {
+        self.shape.unwrap_or((self.radius.min(), self.radius.max()))
+    }
+
     /// The layout of the columns of a run, up to and including the first `attributes` attributes.
     #[doc(hidden)]
     #[must_use]
@@ -296,8 +302,8 @@ impl Header {
             columns.push((Role::Color, true, color));
         }
         if let Some((min, max)) = self.shape {
-            let ratios = shared(Column::Varying { min, max });
-            columns.push((Role::Shape, true, AttributeInfo { kind: ColumnType::U16, ..ratios }));
+            let details = shared(Column::Varying { min, max });
+            columns.push((Role::Shape, true, AttributeInfo { kind: ColumnType::U16, ..details }));
         }
         columns.extend(self.attributes.iter().map(|a| (Role::Attribute, true, a.clone())));
         let mut w = Writer::default();
@@ -492,7 +498,7 @@ impl Header {
             && self.radius_mean.is_finite()
             && self.weight.min() >= -LARGEST
             && self.weight.max() <= LARGEST
-            && self.shape.is_none_or(|(least, most)| f64::from(least) >= LEAST_RATIO && most <= 1.0);
+            && self.shape.is_none_or(|(least, most)| least > 0.0 && most <= self.radius.max());
         if !finite {
             return Err("bounds, radii or weights are out of their ranges");
         }

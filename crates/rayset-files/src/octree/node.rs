@@ -3,6 +3,7 @@
 
 use super::format::Header;
 use super::layout::{DEEPEST_LEVEL, NODE_BYTES, NodeRef, RootCell, nodes_per_page};
+use super::page::round_up_to_16_bits;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
 
@@ -32,8 +33,12 @@ pub struct Node {
     /// Their mean position, weighted by the absolute values of their weights, in units of the root
     /// cell.
     pub centroid: [f32; 3],
-    /// Smallest radius at and below the node.
-    pub radius_min: f32,
+    /// Smallest detail of a point at and below the node: of balls the radius, of ellipsoids the
+    /// shortest semi-axis.
+    pub detail_min: f32,
+    /// A bound on the details, at most 1/128 above the largest of ellipsoids; of balls the largest
+    /// radius.
+    pub detail_max: f32,
     /// Largest radius at and below the node.
     pub radius_max: f32,
     /// The node's own points.
@@ -72,7 +77,8 @@ impl Node {
         Self {
             bounds_min: self.bounds_min.map(down),
             bounds_max: self.bounds_max.map(up),
-            radius_min: scaled(self.radius_min),
+            detail_min: scaled(self.detail_min),
+            detail_max: scaled(self.detail_max),
             radius_max: scaled(self.radius_max),
             ..self
         }
@@ -93,7 +99,7 @@ impl Node {
         for v in &self.centroid {
             put(&v.to_le_bytes());
         }
-        put(&self.radius_min.to_le_bytes());
+        put(&self.detail_min.to_le_bytes());
         put(&self.radius_max.to_le_bytes());
         put(&self.own.first_page.to_le_bytes());
         put(&self.own.runs.to_le_bytes());
@@ -101,7 +107,8 @@ impl Node {
         put(&[self.child_mask, self.level]);
         put(&self.first_child.page.to_le_bytes());
         put(&self.first_child.index.to_le_bytes());
-        put(&[0; 2]);
+        let of_balls = self.detail_max == self.radius_max;
+        put(&if of_balls { 0 } else { round_up_to_16_bits(self.detail_max) }.to_le_bytes());
     }
 
     fn decode(bytes: &[u8]) -> Self {
@@ -109,13 +116,15 @@ impl Node {
         let u32_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
         let u64_at = |at: usize| u64::from(u32_at(at)) | u64::from(u32_at(at + 4)) << 32;
         let f32_at = |at: usize| f32::from_bits(u32_at(at));
+        let detail = u16_at(78);
         Self {
             bounds_min: [f32_at(0), f32_at(4), f32_at(8)],
             bounds_max: [f32_at(12), f32_at(16), f32_at(20)],
             points: u64_at(24),
             weight_sum: f64::from_bits(u64_at(32)),
             centroid: [f32_at(40), f32_at(44), f32_at(48)],
-            radius_min: f32_at(52),
+            detail_min: f32_at(52),
+            detail_max: if detail == 0 { f32_at(56) } else { f32::from_bits(u32::from(detail) << 16) },
             radius_max: f32_at(56),
             own: RunRange { first_page: u32_at(60), runs: u32_at(64), first_run: u16_at(68) },
             child_mask: bytes[70],
@@ -152,11 +161,11 @@ impl<'a> NodePage<'a> {
             let node = this.node(index);
             let numbers = node.bounds_min.iter().chain(&node.bounds_max).chain(&node.centroid);
             if !numbers.copied().all(f32::is_finite)
-                || !(node.radius_min > 0.0 && node.radius_max.is_finite())
+                || !(node.detail_min > 0.0 && node.detail_max.is_finite() && node.radius_max.is_finite())
             {
                 return wrong("a node whose bounds or radii are not finite");
             }
-            if !(node.radius_min <= node.radius_max)
+            if !(node.detail_min <= node.detail_max && node.detail_min <= node.radius_max)
                 || (0..3).any(|a| node.bounds_min[a] > node.bounds_max[a])
             {
                 return wrong("a node whose smallest radius or bound exceeds the largest");

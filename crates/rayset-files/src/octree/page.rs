@@ -5,7 +5,7 @@
 
 use super::format::Header;
 use super::layout::{ColumnLayout, RUN_HEAD_BYTES, RUN_POINTS, RootCell};
-use super::shape::StoredShape;
+use super::shape::{SHAPE_COLUMNS, StoredShape};
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
 
@@ -411,6 +411,36 @@ impl<'a> Run<'a> {
             u16::from_le_bytes([data[at], data[at + 1]])
         };
         Some((0..n).map(move |i| StoredShape(std::array::from_fn(|column| word(column, i)))))
+    }
+
+    /// Reads the shapes by columns, into the first `len` elements of each of `out`, if the header
+    /// says that there are any. Returns whether it does.
+    #[inline]
+    pub fn shape_words(&self, header: &Header, out: &mut [[u16; RUN_POINTS]; SHAPE_COLUMNS]) -> bool {
+        if header.shape.is_none() {
+            return false;
+        }
+        let n = self.head.len();
+        let (column_bytes, first) =
+            ((2 * n).next_multiple_of(4), self.column_start() + header.layout_before_shape().run_bytes(n));
+        for (column, out) in out.iter_mut().enumerate() {
+            let start = first + column_bytes * column;
+            let words = self.data[start..start + 2 * n].chunks_exact(2);
+            out.iter_mut().zip(words).for_each(|(o, w)| *o = u16::from_le_bytes([w[0], w[1]]));
+        }
+        true
+    }
+
+    /// The details of the points, the shortest semi-axes, if the header says that they are no balls.
+    #[inline]
+    pub fn details(&self, header: &Header) -> Option<impl Iterator<Item = f32> + use<'a>> {
+        let shapes = self.shapes(header)?;
+        let mut radii = self.radii(header);
+        let shared = header.radius.min();
+        Some(shapes.map(move |shape| {
+            let radius = radii.as_mut().map_or(Some(shared), Iterator::next);
+            shape.detail(radius.unwrap_or(shared))
+        }))
     }
 
     /// An attribute column, by its index in the header, rounded to `f32`.

@@ -5,7 +5,7 @@
 //! stored as a number of 4 bits of exponent and 12 of mantissa, of 2⁻¹⁶ to 1: it errs by 1/8192 of
 //! itself.
 
-use rayset_base::geometry::{DQuat, Shape};
+use rayset_base::geometry::{DQuat, DVec3, Shape};
 
 /// Columns of two bytes a point that a shape takes.
 pub const SHAPE_COLUMNS: usize = 5;
@@ -26,6 +26,10 @@ const LEAST_BITS: u32 = (127 - 16) << 23;
 const LEFT_OUT: u32 = 23 - 12;
 
 impl StoredShape {
+    /// That of a ball.
+    pub const BALL: Self =
+        Self([ZERO as u16 | 1 << 15, ZERO as u16 | 1 << 15, ZERO as u16, u16::MAX, u16::MAX]);
+
     /// The nearest shape that can be stored.
     #[must_use]
     pub fn encode(shape: &Shape) -> Self {
@@ -48,17 +52,45 @@ impl StoredShape {
     pub fn decode(self) -> Shape {
         let Self([a, b, c, a2, a3]) = self;
         let largest = usize::from(a >> 15 | b >> 15 << 1);
-        let component =
-            |word: u16| f64::from(i32::from(word & 0x7fff) - ZERO) / (MOST * std::f64::consts::SQRT_2);
-        let small = [component(a), component(b), component(c)];
+        let small = [a, b, c].map(|word| f64::from(Self::component(word)));
         let squares = small.iter().map(|v| v * v).sum::<f64>();
         let mut q = [0.0; 4];
         smaller(largest).into_iter().zip(small).for_each(|(i, v)| q[i] = v);
         q[largest] = (1.0 - squares).max(0.0).sqrt();
         // Of length one, unless the words are of no rotation.
         let rotation = DQuat::from_array(q).normalize();
-        let [a2, a3] = [a2, a3].map(ratio_of_code);
+        let [a2, a3] = [a2, a3].map(|code| f64::from(Self::ratio(code)));
         Shape { rotation, ratios: [a2, a3.min(a2)] }
+    }
+
+    /// A component of the rotation that is not the largest, from its word: exact, but for one
+    /// rounding.
+    #[must_use]
+    #[inline(always)]
+    pub fn component(word: u16) -> f32 {
+        const UNIT: f32 = (1.0 / (MOST * std::f64::consts::SQRT_2)) as f32;
+        (i32::from(word & 0x7fff) - ZERO) as f32 * UNIT
+    }
+
+    /// A ratio, from its word: exact.
+    #[must_use]
+    #[inline(always)]
+    pub fn ratio(code: u16) -> f32 {
+        f32::from_bits(LEAST_BITS + ((u32::from(code) + 1) << LEFT_OUT))
+    }
+
+    /// The detail of a point of this radius: its shortest semi-axis. Of a ball, the radius.
+    #[must_use]
+    #[inline]
+    pub fn detail(self, radius: f32) -> f32 {
+        let [_, _, _, a2, a3] = self.0;
+        radius * Self::ratio(a3.min(a2))
+    }
+
+    /// Half the edges of the smallest box around a point of this radius.
+    #[must_use]
+    pub fn half_extent(self, radius: f32) -> DVec3 {
+        self.decode().half_extent() * f64::from(radius)
     }
 }
 
@@ -72,11 +104,6 @@ fn code_of_ratio(ratio: f64) -> u16 {
     let bits = (ratio.clamp(LEAST_RATIO, 1.0) as f32).to_bits() - LEAST_BITS;
     let rounded = (bits + (1 << (LEFT_OUT - 1))) >> LEFT_OUT;
     (rounded.saturating_sub(1)).min(u32::from(u16::MAX)) as u16
-}
-
-#[inline]
-fn ratio_of_code(code: u16) -> f64 {
-    f64::from(f32::from_bits(LEAST_BITS + ((u32::from(code) + 1) << LEFT_OUT)))
 }
 
 #[cfg(test)]
@@ -129,7 +156,12 @@ mod tests {
 
     #[test]
     fn a_ball_and_axes_that_are_x_y_and_z_in_this_order_are_stored_exactly() {
-        assert_eq!(StoredShape::encode(&Shape::BALL).decode(), Shape::BALL);
+        assert_eq!(StoredShape::encode(&Shape::BALL), StoredShape::BALL);
+        assert_eq!(StoredShape::BALL.decode(), Shape::BALL);
+        assert_eq!(
+            (StoredShape::BALL.detail(0.3), StoredShape::BALL.half_extent(2.0)),
+            (0.3, DVec3::splat(2.0))
+        );
         let half = Shape { rotation: DQuat::IDENTITY, ratios: [0.5, 0.25] };
         assert_eq!(StoredShape::encode(&half).decode(), half);
         let turned = Shape { rotation: DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0), ..half };

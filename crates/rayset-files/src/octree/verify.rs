@@ -6,8 +6,9 @@ use super::format::Header;
 use super::layout::NodeRef;
 use super::node::{Node, NodePage};
 use super::page::{PointPage, Run};
+use super::shape::StoredShape;
 use crate::paged_file::{HasPages, PagedHeader};
-use rayset_base::geometry::{Aabb, DVec3};
+use rayset_base::geometry::Aabb;
 use rayset_store::container::ScanError;
 use rayset_store::working_set::Kind;
 
@@ -140,6 +141,9 @@ fn check_header(header: &Header, root: &RunFacts, nodes: u64) -> Result<(), &'st
     if root.radius_min != header.radius.min() || root.radius_max != header.radius.max() {
         return Err("its smallest or largest radius is wrong");
     }
+    if (root.detail_min, root.detail_max) != header.details() {
+        return Err("its smallest or largest shortest semi-axis is wrong");
+    }
     if root.weight_min != header.weight.min() || root.weight_max != header.weight.max() {
         return Err("its smallest or largest weight is wrong");
     }
@@ -166,6 +170,8 @@ struct RunFacts {
     weight_min: f32,
     weight_max: f32,
     radius_min: f32,
+    detail_min: f32,
+    detail_max: f32,
     radius_max: f32,
     within_own_bounds: bool,
 }
@@ -180,6 +186,8 @@ impl RunFacts {
         weight_min: f32::INFINITY,
         weight_max: f32::NEG_INFINITY,
         radius_min: f32::INFINITY,
+        detail_min: f32::INFINITY,
+        detail_max: 0.0,
         radius_max: 0.0,
         within_own_bounds: true,
     };
@@ -194,8 +202,11 @@ impl RunFacts {
             run.weights(header).map_or_else(|| vec![header.weight.min(); n], Iterator::collect);
         let bounds = run.head.position_bounds(root).inflated(rounding(header));
         let mut facts = Self { points: n as u64, ..Self::NONE };
-        for ((p, r), w) in run.positions(root).into_iter().zip(radii).zip(weights) {
-            let reach = DVec3::splat(f64::from(r));
+        let shapes: Vec<StoredShape> =
+            run.shapes(header).map_or_else(|| vec![StoredShape::BALL; n], Iterator::collect);
+        let positions = run.positions(root);
+        for (((p, r), w), shape) in positions.into_iter().zip(radii).zip(weights).zip(shapes) {
+            let (reach, detail) = (shape.half_extent(r), shape.detail(r));
             facts.influence = facts.influence.union(Aabb::new(p - reach, p + reach));
             facts.positions.include(p);
             facts.weight_min = facts.weight_min.min(w);
@@ -203,6 +214,8 @@ impl RunFacts {
             facts.weight_sum += f64::from(w);
             facts.weight_size += f64::from(w).abs();
             facts.radius_min = facts.radius_min.min(r);
+            facts.detail_min = facts.detail_min.min(detail);
+            facts.detail_max = facts.detail_max.max(detail);
             facts.radius_max = facts.radius_max.max(r);
             facts.within_own_bounds &= bounds.contains(p) && r <= run.head.radius_max();
         }
@@ -218,6 +231,8 @@ impl RunFacts {
         self.weight_sum += other.weight_sum;
         self.weight_size += other.weight_size;
         self.radius_min = self.radius_min.min(other.radius_min);
+        self.detail_min = self.detail_min.min(other.detail_min);
+        self.detail_max = self.detail_max.max(other.detail_max);
         self.radius_max = self.radius_max.max(other.radius_max);
         self.within_own_bounds &= other.within_own_bounds;
     }
@@ -279,8 +294,12 @@ impl Facts<'_> {
         if facts.points != node.points {
             return Err(wrong("its number of points is wrong"));
         }
-        if facts.radius_min != node.radius_min || facts.radius_max != node.radius_max {
-            return Err(wrong("its smallest or largest radius is wrong"));
+        if facts.radius_max != node.radius_max {
+            return Err(wrong("its largest radius is wrong"));
+        }
+        let is_bound = facts.detail_max <= node.detail_max && node.detail_max <= 1.01 * facts.detail_max;
+        if facts.detail_min != node.detail_min || !is_bound {
+            return Err(wrong("its smallest or largest shortest semi-axis is wrong"));
         }
         if !((facts.weight_sum - node.weight_sum).abs() <= 1e-9 * facts.weight_size) {
             return Err(wrong("its sum of weights is wrong"));

@@ -1,6 +1,7 @@
 //! Points by columns, as they are tested against rays: those of a run, or the ones among them that
 //! are near some rays.
 
+use super::shapes::MAP_COLUMNS;
 use rayset_files::octree::layout::RUN_POINTS;
 
 /// Points that are tested together.
@@ -21,7 +22,13 @@ pub(super) struct PointColumns {
     pub(super) weight: [f32; RUN_POINTS],
     /// The number of each point in its run.
     pub(super) number: [u8; RUN_POINTS],
+    /// Of ellipsoids the columns of the map that takes each to the unit ball, infinite for what
+    /// fills up the last chunk; none for balls.
+    pub(super) map: Vec<[f32; RUN_POINTS]>,
 }
+
+/// Most bytes of the map besides the columns themselves.
+pub(super) const MAP_BYTES: usize = MAP_COLUMNS * size_of::<[f32; RUN_POINTS]>();
 
 impl Default for PointColumns {
     /// All points of a run, whose columns are to be filled in.
@@ -33,6 +40,7 @@ impl Default for PointColumns {
             inverse_radius_squared: [0.0; RUN_POINTS],
             weight: [0.0; RUN_POINTS],
             number: std::array::from_fn(|i| i as u8),
+            map: Vec::new(),
         }
     }
 }
@@ -60,7 +68,21 @@ impl PointColumns {
             }
         }
         let chunks = len.div_ceil(CHUNK_POINTS);
+        self.select_map(run, len);
         self.inverse_radius_squared[len..CHUNK_POINTS * chunks].fill(f32::INFINITY);
         (1 << chunks) - 1
+    }
+
+    /// Takes the maps of the first `len` of the points, whose numbers are known.
+    #[inline(always)]
+    fn select_map(&mut self, run: &Self, len: usize) {
+        self.map.resize(run.map.len(), [0.0; RUN_POINTS]);
+        let filled = len.next_multiple_of(CHUNK_POINTS);
+        for (to, from) in self.map.iter_mut().zip(&run.map) {
+            for (to, &number) in to[..len].iter_mut().zip(&self.number) {
+                *to = from[usize::from(number) & (RUN_POINTS - 1)];
+            }
+            to[len..filled].fill(f32::INFINITY);
+        }
     }
 }

@@ -158,7 +158,7 @@ fn lanes_of<S: Simd>(simd: S, column: &[f32; LANES], chunk: usize) -> f32x8<S> {
 
 /// One ray relative to a run.
 pub(super) struct LaneRay {
-    minus_foot: [f32; 3],
+    pub(super) minus_foot: [f32; 3],
     pub(super) direction: [f32; 3],
     step: f32,
     /// The reciprocal of the length of a block.

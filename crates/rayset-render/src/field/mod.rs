@@ -15,6 +15,7 @@ mod ray_columns;
 pub mod reference;
 mod run;
 mod samples;
+mod shapes;
 mod simd;
 mod splat;
 mod splat_wide;

@@ -6,6 +6,7 @@ use fearless_simd::prelude::*;
 use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
 use super::lane_ray::LaneRay;
 use super::packet::{BLOCK_SAMPLES, BLOCKS, BlockRange};
+use super::shapes::MAP_COLUMNS;
 use rayset_files::octree::layout::RUN_POINTS;
 
 /// One ray and the points of a run, with distances in units of each point's radius.
@@ -14,10 +15,17 @@ pub(super) struct Pairs {
     /// Distance along the ray from its foot to the position nearest to the point, divided by the
     /// radius.
     pub(super) nearest: [f32; RUN_POINTS],
-    /// 1 − d⊥²/r², with d⊥ the distance of the point from the ray.
+    /// 1 − d⊥²/r², with d⊥ the distance of the point from the ray; both in the space in which it is
+    /// a ball.
     pub(super) inside: [f32; RUN_POINTS],
     /// The vector from the ray to the point in the packet's space, if gradients are computed.
     pub(super) across: [[f32; RUN_POINTS]; 3],
+    /// Of ellipsoids, the length that a unit of the ray has in the space in which the point is the
+    /// unit ball: of balls it is the inverse radius.
+    pub(super) scale: [f32; RUN_POINTS],
+    /// Of ellipsoids, if gradients are computed: what the gradient of the squared distance in that
+    /// space grows by along the ray, halved. `across` is the same, of the vector from ray to point.
+    pub(super) toward: [[f32; RUN_POINTS]; 3],
     /// The first of the blocks of samples that were tested.
     first_block: usize,
     /// For each block from there on, the points that reach it; for each chunk of points, a bit for
@@ -46,6 +54,8 @@ impl Default for Pairs {
             nearest: [0.0; RUN_POINTS],
             inside: [0.0; RUN_POINTS],
             across: [[0.0; RUN_POINTS]; 3],
+            scale: [0.0; RUN_POINTS],
+            toward: [[0.0; RUN_POINTS]; 3],
             first_block: 0,
             hits: [[0; CHUNKS]; BLOCKS],
         }
@@ -55,7 +65,7 @@ impl Default for Pairs {
 impl Pairs {
     /// Finds the points of some chunks that reach samples of some blocks.
     #[inline(always)]
-    pub(super) fn test<S: Simd, const GRADIENT: bool>(
+    pub(super) fn test<S: Simd, const GRADIENT: bool, const SHAPES: bool>(
         &mut self,
         simd: S,
         ray: &LaneRay,
@@ -76,7 +86,11 @@ impl Pairs {
         while chunks != 0 {
             let chunk = chunks.trailing_zeros() as usize & (CHUNKS - 1);
             chunks &= chunks - 1;
-            let (from, to) = self.reach::<S, GRADIENT>(simd, ray, points, chunk);
+            let (from, to) = if SHAPES {
+                self.reach_ellipsoids::<S, GRADIENT>(simd, ray, points, chunk)
+            } else {
+                self.reach::<S, GRADIENT>(simd, ray, points, chunk)
+            };
             let (from, to) = (from.mul_add(ray.per_block, first), to.mul_add(ray.per_block, last));
             for b in 0..BLOCKS {
                 let (begin, end) =
@@ -131,4 +145,66 @@ impl Pairs {
         let radius = f32x8::from_slice(simd, &points.radius[range]);
         ((-half).mul_add(radius, nearest), half.mul_add(radius, nearest))
     }
+
+    /// The same for ellipsoids. In the space to which its map A takes a point, that is the unit
+    /// ball and a ray is a ray: with c the point relative to the foot and the direction d, it is
+    /// nearest at t = (A c · A d)/|A d|², and A c − t A d is the vector to the point there.
+    #[inline(always)]
+    fn reach_ellipsoids<S: Simd, const GRADIENT: bool>(
+        &mut self,
+        simd: S,
+        ray: &LaneRay,
+        points: &PointColumns,
+        chunk: usize,
+    ) -> (f32x8<S>, f32x8<S>) {
+        let range = CHUNK_POINTS * chunk..CHUNK_POINTS * (chunk + 1);
+        let Some(columns) = points.map.first_chunk::<MAP_COLUMNS>() else {
+            // Not a number: nothing is reached.
+            return (f32x8::splat(simd, f32::NAN), f32x8::splat(simd, f32::NAN));
+        };
+        let mut to = [f32x8::splat(simd, 0.0); 3];
+        for axis in 0..3 {
+            to[axis] = f32x8::from_slice(simd, &points.position[axis][range.clone()]) + ray.minus_foot[axis];
+        }
+        let (mut map, mut center, mut direction) = ([[to[0]; 3]; 3], to, to);
+        for row in 0..3 {
+            for axis in 0..3 {
+                map[row][axis] = f32x8::from_slice(simd, &columns[3 * row + axis][range.clone()]);
+            }
+            let [x, y, z] = map[row];
+            center[row] = z.mul_add(to[2], y.mul_add(to[1], x * to[0]));
+            let [dx, dy, dz] = ray.direction;
+            direction[row] = z.mul_add(
+                f32x8::splat(simd, dz),
+                y.mul_add(f32x8::splat(simd, dy), x * f32x8::splat(simd, dx)),
+            );
+        }
+        let scale_squared = dot(direction, direction);
+        let scale = scale_squared.sqrt();
+        let per_scale = 1.0 / scale;
+        let nearest = dot(center, direction) * (per_scale * per_scale);
+        let mut across = center;
+        for row in 0..3 {
+            across[row] = (-nearest).mul_add(direction[row], center[row]);
+        }
+        let inside = (-dot(across, across)) + 1.0;
+        scale.store_slice(&mut self.scale[range.clone()]);
+        (nearest * scale).store_slice(&mut self.nearest[range.clone()]);
+        inside.store_slice(&mut self.inside[range.clone()]);
+        if GRADIENT {
+            for axis in 0..3 {
+                let column = [map[0][axis], map[1][axis], map[2][axis]];
+                dot(column, across).store_slice(&mut self.across[axis][range.clone()]);
+                (dot(column, direction) * per_scale).store_slice(&mut self.toward[axis][range.clone()]);
+            }
+        }
+        // The slack is far larger than the rounding error of a pair that barely contributes.
+        let half = (inside + 1e-3).sqrt() * per_scale;
+        (nearest - half, nearest + half)
+    }
+}
+
+#[inline(always)]
+fn dot<S: Simd>(a: [f32x8<S>; 3], b: [f32x8<S>; 3]) -> f32x8<S> {
+    a[2].mul_add(b[2], a[1].mul_add(b[1], a[0] * b[0]))
 }

@@ -20,7 +20,7 @@ impl RunDecoder {
 }
 
 impl DecodedRun {
-    /// Makes one point of points with one place, one radius and weights above zero: their density
+    /// Makes one point of points with one place, one radius and shape, and weights above zero: their density
     /// is one kernel's with the sum of their weights, and their attributes are averaged by weight,
     /// as those of samples are. Not for points with labels, which are not averaged: each counts by
     /// itself.
@@ -39,7 +39,8 @@ impl DecodedRun {
     /// Point `to`, of which nothing is needed any more, becomes the points of a stretch.
     fn merge_into(&mut self, to: usize, stretch: Range<usize>) {
         let points = &mut self.points;
-        for column in points.position.iter_mut().chain([&mut points.radius, &mut points.inverse_radius]) {
+        let radii = [&mut points.radius, &mut points.inverse_radius];
+        for column in points.position.iter_mut().chain(radii).chain(&mut points.map) {
             column[to] = column[stretch.start];
         }
         let weights = &points.weight[stretch.clone()];
@@ -67,6 +68,7 @@ impl DecodedRun {
                 .zip(&other.points.position)
                 .all(|(axis, other)| axis[0] == other[0])
             && self.points.radius[0] == other.points.radius[0]
+            && self.points.map.iter().zip(&other.points.map).all(|(a, b)| a[0] == b[0])
             && may_merge(self.points.weight[0], other.points.weight[0]);
         if !is_one {
             return false;
@@ -85,7 +87,7 @@ impl PointColumns {
     /// For each point whether it may be merged with the one before.
     fn same_as_before(&self) -> [bool; RUN_POINTS] {
         let mut same = [true; RUN_POINTS];
-        for column in self.position.iter().chain([&self.radius]) {
+        for column in self.position.iter().chain([&self.radius]).chain(&self.map) {
             for i in 1..RUN_POINTS {
                 same[i] &= column[i] == column[i - 1];
             }

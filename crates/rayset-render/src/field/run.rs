@@ -3,14 +3,16 @@
 use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
-use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
+use super::columns::{CHUNK_POINTS, CHUNKS, MAP_BYTES, PointColumns};
 use super::kernel::Kernel;
+use super::shapes::{MAP_COLUMNS, precise_map};
 use super::simd::{SimdLevel, dispatch};
 use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::DVec3;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
 use rayset_files::octree::page::Run;
+use rayset_files::octree::shape::StoredShape;
 
 /// Largest ratio of a run's extent to its smallest radius for single precision. Beyond it,
 /// coordinates relative to the run's centre would have errors of more than a few 1e-5 of a radius,
@@ -19,11 +21,15 @@ const WIDEST_IN_F32: f64 = 128.0;
 /// Most samples across a run that can be counted exactly in single precision.
 const MOST_STEPS_IN_F32: f64 = (1 << 22) as f64;
 
+/// Points may be so much thinner than the radius that is too small for single precision: errors are
+/// then a few 1e-4 of the shortest semi-axis.
+const THINNEST_IN_F32: f64 = 8.0;
+
 /// Most columns of attributes of a run that is kept.
 const MOST_COLUMNS: usize = 8;
-/// Bytes of a run with so many columns, in single precision.
+/// Bytes of a run with so many columns and with shapes, in single precision.
 pub(super) const DECODED_BYTES: usize =
-    size_of::<DecodedRun>() + MOST_COLUMNS * RUN_POINTS * size_of::<f32>();
+    size_of::<DecodedRun>() + MOST_COLUMNS * RUN_POINTS * size_of::<f32>() + MAP_BYTES;
 
 /// Up to 128 points stored by columns, relative to the centre of their bounds.
 #[derive(Clone, Debug)]
@@ -40,8 +46,8 @@ pub struct DecodedRun {
     pub(super) may_be_wide: bool,
     /// The longest edge of the bounds of the positions, and the largest radius.
     pub(super) size: (f64, f64),
-    /// The least radius.
-    least_radius: f64,
+    /// By which it is found out whether it needs double precision: see [`least_length`].
+    least_length: f64,
     /// No more than the radius of any point.
     pub(super) radius_min: f32,
     pub(super) points: PointColumns,
@@ -63,6 +69,8 @@ pub struct DecodedRun {
 pub(super) struct WideRun {
     pub(super) position: [[f64; RUN_POINTS]; 3],
     pub(super) inverse_radius: [f64; RUN_POINTS],
+    /// Of ellipsoids the rows of the map of each to the unit ball; none for balls.
+    pub(super) map: Vec<[f64; MAP_COLUMNS]>,
 }
 
 /// The attributes that a cloud's field carries besides the density. Their channels are numbered in
@@ -105,7 +113,7 @@ pub struct RunDecoder {
     /// Normalised, if kernels are and all radii are the same.
     weight: Option<f32>,
     /// 1/∫ω dV over the unit ball, if each weight has to be normalised for itself.
-    normalisation: Option<f64>,
+    pub(super) normalisation: Option<f64>,
     columns: AttributeColumns,
     linear_from_srgb: Box<[f32; 256]>,
 }
@@ -118,9 +126,10 @@ impl RunDecoder {
         let mut weight = (!header.weight.is_stored()).then(|| header.weight.min());
         let mut normalisation = normalised.then(|| 1.0 / kernel.integral());
         if let (Some(radius), Some(weight)) = (radius, &mut weight)
+            && header.shape.is_none()
             && let Some(factor) = normalisation.take()
         {
-            *weight = normalised_weight(*weight, factor, 1.0 / radius);
+            *weight = normalised_weight(*weight, factor, 1.0 / radius, 1.0);
         }
         Self {
             root: header.root_cell(),
@@ -146,17 +155,26 @@ impl RunDecoder {
         out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
         out.reach_length = out.reach[0] + out.reach[1] + out.reach[2];
         out.size = (bounds.size().max_element(), radius_max);
-        out.may_be_wide = is_wide(out.size, f64::from(header.radius.min()), step);
+        let least = least_length(f64::from(header.radius.min()), f64::from(header.details().0));
+        out.may_be_wide = is_wide(out.size, least, step);
     }
 
     /// Decodes the points of a run whose place is known, for samples that are at least `step`
     /// apart, in the cloud's space.
     pub fn decode(&self, run: &Run<'_>, header: &Header, step: f64, simd: SimdLevel, out: &mut DecodedRun) {
-        dispatch!(simd.level(), simd => self.decode_with(simd, run, header, step, out));
+        dispatch!(simd.level(), token => self.decode_with(token, simd, run, header, step, out));
     }
 
     #[inline(always)]
-    fn decode_with<S: Simd>(&self, simd: S, run: &Run<'_>, header: &Header, step: f64, out: &mut DecodedRun) {
+    fn decode_with<S: Simd>(
+        &self,
+        simd: S,
+        level: SimdLevel,
+        run: &Run<'_>,
+        header: &Header,
+        step: f64,
+        out: &mut DecodedRun,
+    ) {
         let n = run.head.len();
         out.len = n;
         run.decode_local(self.root, &mut out.points.position);
@@ -177,11 +195,16 @@ impl RunDecoder {
         out.pad_last_chunk();
         let one_place = out.bound_chunks(simd);
         self.decode_weights(run, header, out);
+        out.least_length = radius_min;
+        out.points.map.clear();
+        if header.shape.is_some() {
+            let detail = self.decode_shapes(run, header, level, out);
+            out.least_length = least_length(radius_min, detail);
+        }
         self.decode_attributes(run, header, out);
         out.radius_min = radius_min as f32 * 0.9999;
-        out.least_radius = radius_min;
-        let is_wide = is_wide(out.size, radius_min, step);
-        out.set_wide(is_wide.then_some((run, self.root)));
+        let is_wide = is_wide(out.size, out.least_length, step);
+        out.set_wide(is_wide.then_some((run, header)));
         // Points in one place follow each other: fifteen of them fill a chunk. Fewer cost little.
         let whole = (1 << (n / CHUNK_POINTS)) - 1;
         if one_place & whole != 0 && !is_wide && out.label.is_empty() {
@@ -199,9 +222,9 @@ impl RunDecoder {
         } else if let Some(weights) = run.weights(header) {
             out.points.weight.iter_mut().zip(weights).for_each(|(o, w)| *o = w);
         }
-        if let Some(factor) = self.normalisation {
+        if let Some(factor) = self.normalisation.filter(|_| header.shape.is_none()) {
             for (w, inverse) in out.points.weight[..n].iter_mut().zip(&out.points.inverse_radius) {
-                *w = normalised_weight(*w, factor, *inverse);
+                *w = normalised_weight(*w, factor, *inverse, 1.0);
             }
         }
     }
@@ -236,11 +259,19 @@ impl RunDecoder {
     }
 }
 
-/// A weight divided by the integral of its kernel, clamped so that it fits an `f32`: larger weights
+/// A weight divided by the integral of its kernel, over an ellipsoid whose volume is a part of that
+/// of its ball, clamped so that it fits an `f32`: larger weights
 /// make no difference to a picture.
 #[inline(always)]
-fn normalised_weight(weight: f32, factor: f64, inverse_radius: f32) -> f32 {
-    (f64::from(weight) * factor * f64::from(inverse_radius).powi(3)).clamp(-1e30, 1e30) as f32
+pub(super) fn normalised_weight(weight: f32, factor: f64, inverse_radius: f32, volume: f32) -> f32 {
+    let of_ball = f64::from(weight) * factor * f64::from(inverse_radius).powi(3);
+    (of_ball / f64::from(volume)).clamp(-1e30, 1e30) as f32
+}
+
+/// The length of which a run's coordinates must be known to a small part: its least radius, or less
+/// where points are very thin.
+fn least_length(radius: f64, detail: f64) -> f64 {
+    radius.min(THINNEST_IN_F32 * detail)
 }
 
 /// Whether points within bounds of a longest edge need double precision, with their largest and
@@ -273,7 +304,7 @@ impl Default for DecodedRun {
             reach_length: 0.0,
             may_be_wide: false,
             size: (0.0, 0.0),
-            least_radius: 0.0,
+            least_length: 0.0,
             radius_min: 0.0,
             points: PointColumns::default(),
             chunk_center: [[0.0; CHUNKS]; 3],
@@ -296,7 +327,7 @@ impl DecodedRun {
     /// Whether it is decoded as for samples that are at least `step` apart, as far as its place
     /// tells.
     pub(super) fn is_for(&self, step: f64) -> bool {
-        !self.may_be_wide && self.wide.is_none() && !is_wide(self.size, self.least_radius, step)
+        !self.may_be_wide && self.wide.is_none() && !is_wide(self.size, self.least_length, step)
     }
 
     /// Fills up the last chunk with copies of its first point, which do not enlarge its bounds and
@@ -348,19 +379,23 @@ impl DecodedRun {
         one_place
     }
 
-    fn set_wide(&mut self, source: Option<(&Run<'_>, RootCell)>) {
+    fn set_wide(&mut self, source: Option<(&Run<'_>, &Header)>) {
         let spare = self.wide.take().or_else(|| self.spare_wide.take());
-        let Some((run, root)) = source else {
+        let Some((run, header)) = source else {
             self.spare_wide = spare;
             return;
         };
         let mut wide = spare.unwrap_or_else(|| {
-            Box::new(WideRun { position: [[0.0; RUN_POINTS]; 3], inverse_radius: [0.0; RUN_POINTS] })
+            let (position, inverse_radius) = ([[0.0; RUN_POINTS]; 3], [0.0; RUN_POINTS]);
+            Box::new(WideRun { position, inverse_radius, map: Vec::new() })
         });
-        run.decode_local_f64(root, &mut wide.position);
+        run.decode_local_f64(header.root_cell(), &mut wide.position);
         for (o, i) in wide.inverse_radius.iter_mut().zip(&self.points.inverse_radius) {
             *o = f64::from(*i);
         }
+        wide.map.clear();
+        let shapes = run.shapes(header).into_iter().flatten().map(StoredShape::decode);
+        wide.map.extend(shapes.zip(&self.points.radius).map(|(shape, r)| precise_map(&shape, f64::from(*r))));
         self.wide = Some(wide);
     }
 }

@@ -77,18 +77,25 @@ impl Splatter {
     fn with_kernel<K: LaneKernel>(&self, runs: &mut [Box<BatchedRun>], job: SplatJob<'_>) -> SplatCounts {
         // Labels are kept in memory, as attributes are where there are many.
         let attributes = if self.channels.labels > 0 { ANY } else { self.channels.attributes };
+        // All runs are of one cloud. Ellipsoids have fewer loops of their own: one without attributes
+        // is that of any number of them.
+        let has_shapes = runs.iter().any(|item| !item.run.points.map.is_empty());
         match (self.channels.gradient, attributes) {
-            (false, 0) => self.with_channels::<K, false, 0>(runs, job),
-            (false, COLOR) => self.with_channels::<K, false, COLOR>(runs, job),
-            (false, _) => self.with_channels::<K, false, ANY>(runs, job),
-            (true, 0) => self.with_channels::<K, true, 0>(runs, job),
-            (true, COLOR) => self.with_channels::<K, true, COLOR>(runs, job),
-            (true, _) => self.with_channels::<K, true, ANY>(runs, job),
+            (false, COLOR) if has_shapes => self.with_channels::<K, false, COLOR, true>(runs, job),
+            (false, _) if has_shapes => self.with_channels::<K, false, ANY, true>(runs, job),
+            (true, COLOR) if has_shapes => self.with_channels::<K, true, COLOR, true>(runs, job),
+            (true, _) if has_shapes => self.with_channels::<K, true, ANY, true>(runs, job),
+            (false, 0) => self.with_channels::<K, false, 0, false>(runs, job),
+            (false, COLOR) => self.with_channels::<K, false, COLOR, false>(runs, job),
+            (false, _) => self.with_channels::<K, false, ANY, false>(runs, job),
+            (true, 0) => self.with_channels::<K, true, 0, false>(runs, job),
+            (true, COLOR) => self.with_channels::<K, true, COLOR, false>(runs, job),
+            (true, _) => self.with_channels::<K, true, ANY, false>(runs, job),
         }
     }
 
     #[inline(never)]
-    fn with_channels<K: LaneKernel, const G: bool, const A: usize>(
+    fn with_channels<K: LaneKernel, const G: bool, const A: usize, const SHAPES: bool>(
         &self,
         runs: &mut [Box<BatchedRun>],
         mut job: SplatJob<'_>,
@@ -98,12 +105,12 @@ impl Splatter {
         {
             return splat_wide::<G>(self.kernel, self.simd, &item.run, &mut job);
         }
-        dispatch!(self.simd.level(), simd => splat_runs::<_, K, G, A>(simd, runs, &mut job))
+        dispatch!(self.simd.level(), simd => splat_runs::<_, K, G, A, SHAPES>(simd, runs, &mut job))
     }
 }
 
 #[inline(always)]
-fn splat_runs<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
+fn splat_runs<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize, const SHAPES: bool>(
     simd: S,
     runs: &mut [Box<BatchedRun>],
     job: &mut SplatJob<'_>,
@@ -127,7 +134,7 @@ fn splat_runs<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
         while of_group != 0 {
             let lane = of_group.trailing_zeros() as usize & (LANES - 1);
             of_group &= of_group - 1;
-            splat_lane::<S, K, GRADIENT, ATTRIBUTES>(
+            splat_lane::<S, K, GRADIENT, ATTRIBUTES, SHAPES>(
                 simd,
                 runs,
                 (lane, reaching[lane]),
@@ -228,7 +235,7 @@ impl Reaching {
 
 /// Adds runs to the samples of one ray, block by block, as far as the ray goes.
 #[inline(always)]
-fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize>(
+fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: usize, const SHAPES: bool>(
     simd: S,
     runs: &mut [Box<BatchedRun>],
     (lane, reaching): (usize, Reaching),
@@ -255,7 +262,7 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
                 counts.pairs_tested += u64::from(chunks.count_ones());
                 let BatchedRun { run, near, pairs, .. } = item;
                 let points = if group.bounded >> number & 1 == 1 { near } else { &run.points };
-                pairs.test::<S, GRADIENT>(simd, &ray, points, chunks, blocks, job.limits);
+                pairs.test::<S, GRADIENT, SHAPES>(simd, &ray, points, chunks, blocks, job.limits);
             }
             let BatchedRun { run, near, pairs, .. } = item;
             let points = if group.bounded >> number & 1 == 1 { &*near } else { &run.points };
@@ -269,7 +276,7 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
                 sums = Sums::load(simd, job.samples, place);
             }
             counts.pairs_added += u64::from(hits[0].count_ones() + hits[1].count_ones());
-            sums.add::<K>(&ray, pairs, hits, (points, &*run), job.samples, place);
+            sums.add::<K, SHAPES>(&ray, pairs, hits, (points, &*run), job.samples, place);
         }
         if begun {
             sums.store(job.samples, place);

@@ -6,6 +6,7 @@ use super::kernel::Kernel;
 use super::packet::LANES;
 use super::run::DecodedRun;
 use super::samples::SplatJob;
+use super::shapes::MAP_COLUMNS;
 use super::simd::{SimdLevel, dispatch};
 
 /// Adds such a run, point by point: each is tested against all rays together, and added to those
@@ -34,10 +35,11 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
             lanes &= lanes - 1;
             let d: [f64; 3] = std::array::from_fn(|axis| packet.direction[axis][lane]);
             let c: [f64; 3] = std::array::from_fn(|axis| position[axis] - origin[axis][lane]);
-            let nearest = c[0] * d[0] + c[1] * d[1] + c[2] * d[2];
-            let across: [f64; 3] = std::array::from_fn(|axis| c[axis] - nearest * d[axis]);
-            let distance_squared = across[0] * across[0] + across[1] * across[1] + across[2] * across[2];
-            let half = (1.0 / inverse - distance_squared).max(0.0).sqrt();
+            let pair = match wide.map.get(i) {
+                None => WidePair::of_ball(d, c, inverse),
+                Some(map) => WidePair::of_ellipsoid(d, c, map),
+            };
+            let WidePair { nearest, half, .. } = pair;
             // The samples in reach, with one to spare on either side. Casts to integers round
             // toward 0, and negative numbers become 0.
             let number = |t: f64| t / packet.step[lane] - packet.sample_offset[lane];
@@ -51,7 +53,7 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
             for sample in first..=last {
                 counts.kernel_evaluations += 1;
                 let along = packet.sample_t(lane, sample) - nearest;
-                let s = (along * along + distance_squared) * inverse;
+                let s = (along * along + pair.distance_squared) * pair.per_square;
                 let at = (sample - slab.first) as usize;
                 let weighted = (kernel.value(s) * f64::from(run.points.weight[i])) as f32;
                 job.samples.density[lane].0[at] += weighted;
@@ -60,9 +62,9 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
                 }
                 job.samples.label(lane, at, weighted, |label| run.label[label][i]);
                 if GRADIENT {
-                    let slope = kernel.slope_over_x(s) * f64::from(run.points.weight[i]) * inverse;
+                    let slope = kernel.slope_over_x(s) * f64::from(run.points.weight[i]) * pair.of_slope;
                     for channel in 0..3 {
-                        let offset = along * d[channel] - across[channel];
+                        let offset = along * pair.toward[channel] - pair.across[channel];
                         job.samples.gradient[channel][lane].0[at] += (slope * offset) as f32;
                     }
                 }
@@ -70,6 +72,50 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
         }
     }
     counts
+}
+
+/// A ray and a point. With q the squared distance in units of the radius, in the space in which the
+/// point is a ball: q = (s² + `distance_squared`)·`per_square` at the distance s from the place
+/// nearest to the point, and half of its gradient is `of_slope`·(s·`toward` − `across`).
+struct WidePair {
+    /// Where along the ray that is.
+    nearest: f64,
+    /// How far from there the point reaches.
+    half: f64,
+    distance_squared: f64,
+    per_square: f64,
+    of_slope: f64,
+    toward: [f64; 3],
+    across: [f64; 3],
+}
+
+impl WidePair {
+    /// `d` is the direction, and `c` the vector from the ray's origin to the point.
+    fn of_ball(d: [f64; 3], c: [f64; 3], per_square: f64) -> Self {
+        let nearest = dot(c, d);
+        let across: [f64; 3] = std::array::from_fn(|axis| c[axis] - nearest * d[axis]);
+        let distance_squared = dot(across, across);
+        let half = (1.0 / per_square - distance_squared).max(0.0).sqrt();
+        Self { nearest, half, distance_squared, per_square, of_slope: per_square, toward: d, across }
+    }
+
+    /// The same of an ellipsoid that a map takes to the unit ball.
+    fn of_ellipsoid(d: [f64; 3], c: [f64; 3], map: &[f64; MAP_COLUMNS]) -> Self {
+        let [of_direction, of_point] =
+            [d, c].map(|v| [0, 3, 6].map(|row| dot([map[row], map[row + 1], map[row + 2]], v)));
+        let per_square = dot(of_direction, of_direction);
+        let nearest = dot(of_point, of_direction) / per_square;
+        let across: [f64; 3] = std::array::from_fn(|row| of_point[row] - nearest * of_direction[row]);
+        let distance_squared = dot(across, across) / per_square;
+        let half = (1.0 / per_square - distance_squared).max(0.0).sqrt();
+        let back = |v: [f64; 3]| [0, 1, 2].map(|axis| dot([map[axis], map[axis + 3], map[axis + 6]], v));
+        let (toward, across) = (back(of_direction), back(across));
+        Self { nearest, half, distance_squared, per_square, of_slope: 1.0, toward, across }
+    }
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// The lanes of the rays that pass a point within its radius.

@@ -83,7 +83,7 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
 
     /// Adds those of some points of a run that reach the block, in their order.
     #[inline(always)]
-    pub(super) fn add<K: LaneKernel>(
+    pub(super) fn add<K: LaneKernel, const SHAPES: bool>(
         &mut self,
         ray: &LaneRay,
         pairs: &Pairs,
@@ -103,14 +103,21 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
                 // Below RUN_POINTS by construction; the mask makes this visible to the compiler.
                 let i = (64 * half + hits.trailing_zeros() as usize) & (RUN_POINTS - 1);
                 hits &= hits - 1;
-                let along = t * points.inverse_radius[i] - pairs.nearest[i];
+                let inverse = if SHAPES { pairs.scale[i] } else { points.inverse_radius[i] };
+                let along = t * inverse - pairs.nearest[i];
                 let q = (-along).mul_add(along, f32x8::splat(simd, pairs.inside[i]));
                 let weighted = self.add_value(K::value(q), points, run, i);
                 if ATTRIBUTES == ANY {
                     add_attributes(weighted, run, usize::from(points.number[i]), samples, place);
                 }
-                if GRADIENT {
-                    let inverse = points.inverse_radius[i];
+                if GRADIENT && SHAPES {
+                    let slope = K::slope_over_x(q) * points.weight[i];
+                    let slope_along = -(slope * along);
+                    for channel in 0..3 {
+                        let sum = slope.mul_add(pairs.across[channel][i], across[channel]);
+                        across[channel] = slope_along.mul_add(pairs.toward[channel][i], sum);
+                    }
+                } else if GRADIENT {
                     let slope = K::slope_over_x(q) * (points.weight[i] * inverse);
                     along_ray = slope.mul_add(along, along_ray);
                     let slope = slope * inverse;

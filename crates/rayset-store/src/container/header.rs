@@ -28,8 +28,7 @@ pub(super) const SECTION_BYTES: usize = 32;
 /// The required feature of grids whose bricks are not cubes.
 pub const BRICK_SHAPE: u64 = 1;
 
-/// The required feature of clouds whose points have shapes. It is not among those that
-/// [`FileHeader::check_features`] knows: nothing draws such clouds yet.
+/// The required feature of clouds whose points have shapes.
 pub const SHAPE: u64 = 1;
 
 /// What a file holds.
@@ -304,7 +303,7 @@ impl FileHeader {
     /// # Errors
     /// [`HeaderError::Feature`] for the first unknown feature.
     pub fn check_features(&self, name: impl Fn(u32) -> Option<String>) -> Result<(), HeaderError> {
-        let known = if self.kind == FileKind::Grid { BRICK_SHAPE } else { 0 };
+        let known = if self.kind == FileKind::Grid { BRICK_SHAPE } else { SHAPE };
         let unknown = self.required_features & !known;
         if unknown == 0 {
             return Ok(());

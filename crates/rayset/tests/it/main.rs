@@ -20,6 +20,7 @@ mod corpus;
 mod cut_solids;
 mod e57;
 mod edges;
+mod ellipsoids;
 mod figures;
 mod fixture;
 mod fixtures;

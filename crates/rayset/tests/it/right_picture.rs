@@ -23,7 +23,7 @@ const PIXEL_BOUND: f64 = 1.0 / 1024.0;
 
 /// The densities, weighted attributes and normals of all samples of some rays through a cloud about
 /// the origin, two of a unit wide, against the reference renderer.
-fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
+pub(crate) fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
     let header = cloud.header();
     let columns = AttributeColumns {
         color: header.has_color,
@@ -138,7 +138,12 @@ fn density_is_right_where_radii_differ_by_a_factor_of_100_000() {
 
 /// Random pixels of a picture against the reference renderer; returns how many of them differ by
 /// more than the bound.
-fn count_wrong_pixels(scene: &Scene, settings: &RenderSettings, step: f64, pixels: usize) -> usize {
+pub(crate) fn count_wrong_pixels(
+    scene: &Scene,
+    settings: &RenderSettings,
+    step: f64,
+    pixels: usize,
+) -> usize {
     let fast = plain_picture(scene, settings);
     let reference_renderer = ReferenceRenderer::load(scene).expect("it reads");
     let mut random = Random(99);

@@ -217,7 +217,8 @@ impl Assembler {
             points: summary.points,
             weight_sum: summary.weight_sum,
             centroid: centroid.to_array().map(|v| v as f32),
-            radius_min: summary.radius_min,
+            detail_min: summary.detail_min,
+            detail_max: summary.detail_max,
             radius_max: summary.radius_max,
             own,
             child_mask: children.iter().fold(0, |mask, (octant, _)| mask | 1 << octant),
@@ -311,11 +312,10 @@ impl Assembler {
         ];
         let sections =
             [(SectionKind::CLOUD, header.encode_numbers()), (SectionKind::COLUMNS, header.encode_columns())];
-        let (identity, page_bytes) = (self.identity, header.page_bytes);
+        let (identity, page_bytes, metadata) = (self.identity, header.page_bytes, survey.stored_metadata());
         self.output.with(|mut file| {
             let kind = FileKind::Cloud;
-            let whole =
-                seal_file(&mut file, kind, identity, page_bytes, &pages, &sections, &survey.metadata)?;
+            let whole = seal_file(&mut file, kind, identity, page_bytes, &pages, &sections, &metadata)?;
             header.file_bytes = whole.file_bytes;
             Ok(())
         })?;
@@ -374,7 +374,7 @@ impl Assembler {
             position_error: summary.position_error,
             position_error_radii: summary.position_error_radii,
             has_color: survey.layout.has_color,
-            shape: None,
+            shape: survey.has_shapes.then_some((summary.detail_min, summary.detail_max)),
             attributes: survey.attributes.clone(),
             point_data_bytes: self.point_data_bytes,
             render_memory: context.options.render_memory.unwrap_or(0),

@@ -2,10 +2,10 @@
 
 use super::depths::Depths;
 use super::error::BuildError;
-use super::options::{BuildOptions, Rule};
+use super::options::{BuildOptions, Rule, ShapeRule};
 use super::record::RecordLayout;
 use crate::octree::format::NAME_BYTES;
-use crate::points::{ColumnInfo, ColumnType, PointSource, Schema};
+use crate::points::{ColumnInfo, ColumnType, PointSource, SHAPE_COLUMNS, Schema};
 
 /// The columns of a record, and the columns of the sources from which they come.
 pub(super) struct Columns {
@@ -23,6 +23,15 @@ pub(super) struct Columns {
 const COLORS: [&str; 3] = ["red", "green", "blue"];
 /// Columns that points without colours are shown in grey by; the first that a source has.
 const INTENSITIES: [&str; 5] = ["intensity", "reflectance", "scalar_intensity", "reflectivity", "amplitude"];
+
+/// The columns to select of a source, and which of them, in its batches, are what.
+pub(super) struct Selection {
+    pub(super) columns: Vec<usize>,
+    /// Semi-axes and rotation, of a source that has shapes.
+    pub(super) shape: Option<[usize; SHAPE_COLUMNS.len()]>,
+    /// `None` if records have no colours.
+    pub(super) colors: Option<ColorOrigin>,
+}
 
 /// Where the colours of a source come from: columns of its batches.
 pub(super) struct ColorOrigin {
@@ -76,6 +85,8 @@ impl Columns {
             |rule: &Rule| if let Rule::Attribute(name) = rule { Some(place(name)) } else { None };
         let (radius, weight) = (of_rule(radius), of_rule(weight));
         let has_color = options.keep_color && sources.iter().any(|source| colors(source.schema()).is_some());
+        let has_shape = options.shape != ShapeRule::Round
+            && sources.iter().any(|source| shape(source.schema()).is_some());
         let attributes: Vec<usize> = options.attributes.iter().map(|name| place(name)).collect();
         for (input, source) in sources.iter().enumerate() {
             if let Some(name) = names.iter().find(|name| source.schema().find(name).is_none()) {
@@ -87,6 +98,7 @@ impl Columns {
         let infos: Vec<ColumnInfo> = options.attributes.iter().map(|name| common(name, sources)).collect();
         let layout = RecordLayout {
             has_radius: radius.is_some(),
+            has_shape,
             has_weight: weight.is_some(),
             has_color,
             attributes: infos.iter().map(|info| info.kind).collect(),
@@ -94,17 +106,18 @@ impl Columns {
         Ok(Self { layout, names, radius, weight, attributes, infos })
     }
 
-    /// The columns to select of source `input`, and where in its batches colours are, if the
-    /// records have any. Those in `names` come first, in their order.
-    pub(super) fn selection(&self, schema: &Schema, input: usize) -> (Vec<usize>, Option<ColorOrigin>) {
+    /// The columns to select of source `input`. Those in `names` come first, in their order.
+    pub(super) fn selection(&self, schema: &Schema, input: usize) -> Selection {
         let mut selected: Vec<usize> = self.names.iter().filter_map(|name| schema.find(name)).collect();
-        if !self.layout.has_color {
-            return (selected, None);
-        }
         let mut select = |column: usize| {
             selected.push(column);
             selected.len() - 1
         };
+        let shape = shape(schema).filter(|_| self.layout.has_shape);
+        let shape = shape.map(|columns| columns.map(&mut select));
+        if !self.layout.has_color {
+            return Selection { columns: selected, shape, colors: None };
+        }
         let columns = colors(schema);
         // Only numbers that can be NaN can be missing.
         let may_lack =
@@ -116,7 +129,7 @@ impl Columns {
             depth: Depths::number(schema, input),
             family: Depths::family(schema),
         };
-        (selected, Some(origin))
+        Selection { columns: selected, shape, colors: Some(origin) }
     }
 }
 
@@ -124,6 +137,12 @@ impl Columns {
 fn colors(schema: &Schema) -> Option<[usize; 3]> {
     let [red, green, blue] = COLORS.map(|name| schema.find(name));
     Some([red?, green?, blue?])
+}
+
+/// The columns of shapes, if a source has all of them.
+fn shape(schema: &Schema) -> Option<[usize; SHAPE_COLUMNS.len()]> {
+    let found = SHAPE_COLUMNS.map(|name| schema.find(name));
+    found.iter().all(Option::is_some).then(|| found.map(Option::unwrap_or_default))
 }
 
 /// A column as it is stored: of the common type of all sources, and with their unit if it is the

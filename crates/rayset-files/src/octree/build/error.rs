@@ -62,7 +62,8 @@ impl std::fmt::Display for Quantity {
 pub struct Skipped {
     /// Records whose position is not finite or is too large.
     pub position: u64,
-    /// Records whose radius is not a positive number in range.
+    /// Records whose radius is not a positive number in range, or whose semi-axes and rotation are
+    /// of no ellipsoid.
     pub radius: u64,
     /// Records whose weight is not finite or is too large.
     pub weight: u64,

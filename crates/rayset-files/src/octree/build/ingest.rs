@@ -7,8 +7,9 @@ use super::control::Stage;
 use super::error::{BuildError, Quantity};
 use super::options::{BuildOptions, InvalidPolicy};
 use super::survey::{Form, LIMIT, Survey, Totals};
-use crate::points::{PointBatch, PointSource, ReadError, Values};
-use rayset_base::geometry::DVec3;
+use crate::octree::shape::StoredShape;
+use crate::points::{PointBatch, PointSource, ReadError, SHAPE_COLUMNS, Values};
+use rayset_base::geometry::{DQuat, DVec3, Shape};
 use rayset_store::spill::{Spill, SpillWriter};
 
 /// Number of points read at a time.
@@ -99,6 +100,7 @@ impl<'a> Reader<'a> {
         let tally = Tally {
             options: context.options,
             columns,
+            shape: None,
             colors: None,
             totals: Totals::none(columns.attributes.len()),
             record: Vec::with_capacity(columns.layout.stride()),
@@ -127,10 +129,10 @@ impl<'a> Reader<'a> {
     ) -> Result<(), BuildError> {
         let Self { context, tally, batch, .. } = self;
         let source = &mut stretch.source;
-        let (selection, colors) = tally.columns.selection(source.schema(), stretch.input);
-        source.select(&selection);
+        let selection = tally.columns.selection(source.schema(), stretch.input);
+        source.select(&selection.columns);
+        (tally.shape, tally.colors) = (selection.shape, selection.colors);
         source.watch(&context.control.cancel);
-        tally.colors = colors;
         if stretch.first > 0 {
             or_cancelled(context, source.skip(stretch.first))?;
         }
@@ -145,7 +147,7 @@ impl<'a> Reader<'a> {
             if batch.is_empty() {
                 return Ok(());
             }
-            check_batch(batch, stretch.input, selection.len())?;
+            check_batch(batch, stretch.input, selection.columns.len())?;
             tally.take(batch, (stretch.input, index), write)?;
             index += batch.len() as u64;
             context.check()?;
@@ -175,6 +177,8 @@ fn check_batch(batch: &PointBatch, input: usize, selected: usize) -> Result<(), 
 struct Tally<'a> {
     options: &'a BuildOptions,
     columns: &'a Columns,
+    /// Where the shapes of the current source come from.
+    shape: Option<[usize; SHAPE_COLUMNS.len()]>,
     /// Where the colours of the current source come from.
     colors: Option<ColorOrigin>,
     totals: Totals,
@@ -232,6 +236,17 @@ impl Tally<'_> {
             }
             record.extend_from_slice(&(r as f32).to_le_bytes());
         }
+        if columns.layout.has_shape {
+            let Some(shape) = self.shape.map_or(Some(StoredShape::BALL), |columns| shape(batch, columns, i))
+            else {
+                totals.skipped.radius += 1;
+                return Err(
+                    "semi-axes that are not all above 0 and finite, or a rotation that is none".into()
+                );
+            };
+            totals.shapes += u64::from(shape != StoredShape::BALL);
+            shape.0.iter().for_each(|word| record.extend_from_slice(&word.to_le_bytes()));
+        }
         if let Some(column) = columns.weight {
             let w = batch.columns[column].get(i) * self.options.weight_scale;
             if !(w.abs() <= LIMIT) {
@@ -265,4 +280,13 @@ impl Tally<'_> {
         totals.include(&columns.layout, DVec3::from_array(p), record);
         Ok(())
     }
+}
+
+/// The shape of point `i` of a batch, by semi-axes and rotation; `None` if these are of none. That
+/// of a ball has no rotation, so that balls are equal.
+fn shape(batch: &PointBatch, columns: [usize; SHAPE_COLUMNS.len()], i: usize) -> Option<StoredShape> {
+    let [a, b, c, x, y, z, w] = columns.map(|column| batch.columns[column].get(i));
+    let (_, shape) = Shape::of_semi_axes([a, b, c], DQuat::from_xyzw(x, y, z, w))?;
+    let stored = StoredShape::encode(&shape);
+    Some(if stored.decode().is_ball() { StoredShape::BALL } else { stored })
 }

@@ -48,7 +48,7 @@ pub use self::control::{BuildControl, NoProgress, Progress, Stage};
 pub use self::error::{BuildError, Quantity, Skipped};
 use self::ingest::Ingested;
 use self::options::check_options;
-pub use self::options::{BuildOptions, InvalidPolicy, Precision, Rule, minimum_memory};
+pub use self::options::{BuildOptions, InvalidPolicy, Precision, Rule, ShapeRule, minimum_memory};
 use self::partition::Partition;
 #[cfg(feature = "parts")]
 pub use self::parts::{BuildParts, BuildStep};

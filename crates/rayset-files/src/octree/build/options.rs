@@ -20,6 +20,17 @@ pub enum Rule {
     Auto,
 }
 
+/// The shapes of points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum ShapeRule {
+    /// Ellipsoids, of inputs with columns of [semi-axes and rotations](crate::points::SHAPE_COLUMNS).
+    #[default]
+    Auto,
+    /// Balls, whatever the inputs say.
+    Round,
+}
+
 /// What to do with records whose position, radius or weight cannot be used.
 ///
 /// A record is invalid if a coordinate is not finite, its radius is not a positive number, or its
@@ -71,6 +82,8 @@ pub struct BuildOptions {
     pub weight: Option<Rule>,
     /// Scale factor for every weight, whatever `weight` is.
     pub weight_scale: f64,
+    /// Shapes.
+    pub shape: ShapeRule,
     /// Names of further columns to store.
     pub attributes: Vec<String>,
     /// Whether to store colours if an input has them. Points without a colour are then grey by
@@ -99,6 +112,7 @@ setters!(BuildOptions {
     with_length_scale => length_scale: f64,
     with_weight => weight: Option<Rule>,
     with_weight_scale => weight_scale: f64,
+    with_shape => shape: ShapeRule,
     with_attributes => attributes: Vec<String>,
     with_keep_color => keep_color: bool,
     with_invalid => invalid: InvalidPolicy,
@@ -118,6 +132,7 @@ impl Default for BuildOptions {
             length_scale: 1.0,
             weight: None,
             weight_scale: 1.0,
+            shape: ShapeRule::Auto,
             attributes: Vec::new(),
             keep_color: true,
             invalid: InvalidPolicy::Skip,

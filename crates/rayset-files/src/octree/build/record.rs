@@ -5,6 +5,7 @@
 //! compare equal are identical, so the order does not depend on threads or buckets.
 
 use crate::octree::layout::RootCell;
+use crate::octree::shape::{SHAPE_COLUMNS, StoredShape};
 use crate::points::ColumnType;
 use rayset_base::geometry::DVec3;
 use rayset_base::geometry::curve::{MAX_LEVEL, hilbert};
@@ -12,18 +13,21 @@ use rayset_base::geometry::curve::{MAX_LEVEL, hilbert};
 /// Number of bits of a position along the Hilbert curve.
 const CURVE_BITS: u32 = 3 * MAX_LEVEL;
 
-/// The layout of a record: position (three `f64`), radius, weight (`f32`), colour (three `f32` and
+/// The layout of a record: position (three `f64`), radius (`f32`), shape (as it is stored, five
+/// `u16`), weight (`f32`), colour (three `f32` and
 /// an `u32` for their depth, see [`Depths`](super::depths::Depths)), attributes in their own types.
 /// Nothing is aligned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct RecordLayout {
     pub(super) has_radius: bool,
+    pub(super) has_shape: bool,
     pub(super) has_weight: bool,
     pub(super) has_color: bool,
     pub(super) attributes: Vec<ColumnType>,
 }
 
 const POSITION_BYTES: usize = 24;
+const SHAPE_BYTES: usize = 2 * SHAPE_COLUMNS;
 const COLOR_BYTES: usize = 16;
 
 impl RecordLayout {
@@ -32,9 +36,14 @@ impl RecordLayout {
         self.attribute_at(self.attributes.len())
     }
 
+    /// Byte offset of the shape.
+    pub(super) fn shape_at(&self) -> usize {
+        POSITION_BYTES + 4 * usize::from(self.has_radius)
+    }
+
     /// Byte offset of the weight.
     pub(super) fn weight_at(&self) -> usize {
-        POSITION_BYTES + 4 * usize::from(self.has_radius)
+        self.shape_at() + SHAPE_BYTES * usize::from(self.has_shape)
     }
 
     /// Byte offset of the first channel of the colour.
@@ -76,6 +85,12 @@ pub(super) fn float(record: &[u8], at: usize) -> f32 {
 pub(super) fn color(record: &[u8], at: usize) -> ([f32; 3], u32) {
     let b = &record[at + 12..at + COLOR_BYTES];
     ([0, 4, 8].map(|channel| float(record, at + channel)), u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+}
+
+/// The shape at a byte offset of a record.
+pub(super) fn shape(record: &[u8], at: usize) -> StoredShape {
+    let b = &record[at..at + SHAPE_BYTES];
+    StoredShape(std::array::from_fn(|word| u16::from_le_bytes([b[2 * word], b[2 * word + 1]])))
 }
 
 /// The radius of a record that has one.

@@ -10,6 +10,7 @@ use super::survey::Survey;
 use crate::octree::layout::{RUN_POINTS, RootCell};
 use crate::octree::page::RunHead;
 use crate::octree::run_encoder::{RunColumns, encode_run};
+use crate::octree::shape::StoredShape;
 use rayset_base::cancel::CancelToken;
 use rayset_base::geometry::curve::MAX_LEVEL;
 use rayset_base::geometry::{Aabb, DVec3};
@@ -24,7 +25,8 @@ pub(super) struct Summary {
     /// Sums of |weight| · (position − root corner), and of |weight|.
     pub(super) moment: DVec3,
     pub(super) mass: f64,
-    pub(super) radius_min: f32,
+    pub(super) detail_min: f32,
+    pub(super) detail_max: f32,
     pub(super) radius_max: f32,
     pub(super) position_error: f64,
     pub(super) position_error_radii: f64,
@@ -38,7 +40,8 @@ impl Summary {
         radius_sum: 0.0,
         moment: DVec3::ZERO,
         mass: 0.0,
-        radius_min: f32::INFINITY,
+        detail_min: f32::INFINITY,
+        detail_max: 0.0,
         radius_max: 0.0,
         position_error: 0.0,
         position_error_radii: 0.0,
@@ -51,7 +54,8 @@ impl Summary {
         self.radius_sum += other.radius_sum;
         self.moment += other.moment;
         self.mass += other.mass;
-        self.radius_min = self.radius_min.min(other.radius_min);
+        self.detail_min = self.detail_min.min(other.detail_min);
+        self.detail_max = self.detail_max.max(other.detail_max);
         self.radius_max = self.radius_max.max(other.radius_max);
         self.position_error = self.position_error.max(other.position_error);
         self.position_error_radii = self.position_error_radii.max(other.position_error_radii);
@@ -93,6 +97,7 @@ pub(super) struct Packer {
     layout: RecordLayout,
     store_radius: bool,
     store_weight: bool,
+    store_shape: bool,
     weight: f32,
     /// How colours become 0 to 1, by depth.
     color_scales: Vec<Scale>,
@@ -110,6 +115,7 @@ impl Packer {
             layout: survey.layout.clone(),
             store_radius: radius.is_stored(),
             store_weight: weight.is_stored(),
+            store_shape: survey.has_shapes,
             weight: survey.weight,
             color_scales: survey.depths.scales(),
             precision: if let Precision::Relative(p) = precision { p } else { 0.0 },
@@ -173,6 +179,9 @@ impl Packer {
                     .color
                     .push(color.map(|v| ((v * factor + offset).clamp(0.0, 1.0) * 255.0).round() as u8));
             }
+            if self.store_shape {
+                columns.shape.push(record::shape(r, layout.shape_at()));
+            }
             for (index, column) in columns.attributes.iter_mut().enumerate() {
                 let at = layout.attribute_at(index);
                 column.extend_from_slice(&r[at..at + layout.attributes[index].bytes()]);
@@ -188,7 +197,7 @@ impl Packer {
             store_radius: self.store_radius,
             weight: self.store_weight.then_some(columns.weight.as_slice()),
             color: self.layout.has_color.then_some(columns.color.as_slice()),
-            shape: None,
+            shape: self.store_shape.then_some(columns.shape.as_slice()),
             attributes: &attributes,
         };
         let start = piece.data.len();
@@ -199,15 +208,22 @@ impl Packer {
             position_error_radii: encoded.position_error_radii,
             ..Summary::EMPTY
         };
-        for ((p, &r), &w) in columns.position.iter().zip(&columns.radius).zip(&columns.weight) {
+        for (i, ((p, &r), &w)) in
+            columns.position.iter().zip(&columns.radius).zip(&columns.weight).enumerate()
+        {
             let (p, w) = (DVec3::from_array(*p), f64::from(w));
-            let reach = f64::from(r) + encoded.position_error;
+            let (half, detail) = match run.shape {
+                None => (DVec3::splat(f64::from(r)), r),
+                Some(shapes) => (shapes[i].half_extent(r), shapes[i].detail(r)),
+            };
+            let reach = half + encoded.position_error;
             summary.influence = summary.influence.union(Aabb::new(p - reach, p + reach));
             summary.weight_sum += w;
             summary.radius_sum += f64::from(r);
             summary.moment += (p - self.root.min) * w.abs();
             summary.mass += w.abs();
-            summary.radius_min = summary.radius_min.min(r);
+            summary.detail_min = summary.detail_min.min(detail);
+            summary.detail_max = summary.detail_max.max(detail);
             summary.radius_max = summary.radius_max.max(r);
         }
         DraftRun { head: encoded.head, data: start..piece.data.len(), summary }
@@ -237,6 +253,7 @@ struct Columns {
     radius: Vec<f32>,
     weight: Vec<f32>,
     color: Vec<[u8; 3]>,
+    shape: Vec<StoredShape>,
     /// Each in its own type, little-endian.
     attributes: Vec<Vec<u8>>,
 }
@@ -247,6 +264,7 @@ impl Columns {
         self.radius.clear();
         self.weight.clear();
         self.color.clear();
+        self.shape.clear();
         self.attributes.resize_with(attributes, Vec::new);
         self.attributes.iter_mut().for_each(Vec::clear);
     }

@@ -14,7 +14,7 @@ use crate::octree::format::{AttributeInfo, Column};
 use crate::octree::layout::{ColumnLayout, RootCell};
 use crate::points::{ColumnInfo, PointSource};
 use rayset_base::geometry::{Aabb, DVec3};
-use rayset_store::container::{Identity, Metadata, RecordSum, StreamHash};
+use rayset_store::container::{Identity, Metadata, RecordSum, SHAPE, StreamHash};
 
 /// Largest absolute coordinate, radius and weight; its reciprocal is the smallest radius. Their
 /// squares are in the range of `f32`.
@@ -65,8 +65,9 @@ const AUTO_RADII: &str = ", 0.85 of the eighth neighbour";
 /// different identities.
 fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns: &Columns) -> String {
     let definition = if *radius == Rule::Auto { AUTO_RADII } else { "" };
+    let shapes = if columns.layout.has_shape { " shapes" } else { "" };
     format!(
-        "radius {radius:?}{definition} {:?} weight {weight:?} {:?} precision {:?} page {:?} color {} columns {:?}",
+        "radius {radius:?}{definition} {:?} weight {weight:?} {:?} precision {:?} page {:?} color {} columns {:?}{shapes}",
         options.radius_scale,
         options.weight_scale,
         options.precision,
@@ -104,6 +105,8 @@ pub(super) struct Totals {
     pub(super) bounds: Aabb,
     pub(super) radius_range: (f32, f32),
     pub(super) weight_range: (f32, f32),
+    /// Records whose shape is not a ball.
+    pub(super) shapes: u64,
     pub(super) depths: Depths,
     pub(super) attribute_ranges: Vec<(f64, f64)>,
 }
@@ -126,6 +129,7 @@ impl Totals {
             bounds: Aabb::EMPTY,
             radius_range: NO_RANGE,
             weight_range: NO_RANGE,
+            shapes: 0,
             depths: Depths::default(),
             attribute_ranges: vec![(f64::INFINITY, f64::NEG_INFINITY); attributes],
         }
@@ -188,6 +192,7 @@ impl Totals {
         self.bounds = self.bounds.union(other.bounds);
         self.radius_range = union(self.radius_range, other.radius_range);
         self.weight_range = union(self.weight_range, other.weight_range);
+        self.shapes += other.shapes;
         self.depths.merge(&other.depths);
         for (range, other) in self.attribute_ranges.iter_mut().zip(&other.attribute_ranges) {
             *range = (range.0.min(other.0), range.1.max(other.1));
@@ -244,6 +249,8 @@ pub(super) struct Survey {
     pub(super) auto_scale: f64,
     pub(super) weight: f32,
     pub(super) weight_range: (f32, f32),
+    /// Whether shapes are stored: of balls alone they are not.
+    pub(super) has_shapes: bool,
     pub(super) depths: Depths,
     pub(super) attributes: Vec<AttributeInfo>,
 }
@@ -265,6 +272,7 @@ impl Survey {
             auto_scale: form.auto_scale,
             weight: form.weight,
             weight_range: totals.weight_range,
+            has_shapes: totals.shapes > 0,
             depths: totals.depths.clone(),
             attributes: (form.attributes.iter().zip(&totals.attribute_ranges))
                 .map(|(info, &(min, max))| AttributeInfo {
@@ -323,6 +331,16 @@ impl Survey {
         KeyMaker { root: self.root, radius: self.radius }
     }
 
+    /// The metadata of the file, with the features that its reader must know.
+    pub(super) fn stored_metadata(&self) -> Metadata {
+        let mut metadata = self.metadata.clone();
+        if self.has_shapes {
+            metadata.features.insert(SHAPE.trailing_zeros().to_string(), "shape".to_owned());
+            metadata.required_features = SHAPE;
+        }
+        metadata
+    }
+
     /// The columns of radius and weight for the header.
     pub(super) fn columns(&self) -> (Column, Column) {
         let radius = settled(self.radius_range.0, self.radius_range.1);
@@ -339,6 +357,7 @@ impl Survey {
         let (radius, weight) = self.columns();
         let four = [radius.is_stored(), weight.is_stored(), self.layout.has_color];
         let columns = four.iter().filter(|&&stored| stored).fold(ColumnLayout::default(), |l, _| l.with(4));
+        let columns = if self.has_shapes { columns.with_shape() } else { columns };
         self.layout.attributes.iter().fold(columns, |l, kind| l.with(kind.bytes()))
     }
 }

@@ -102,11 +102,11 @@ impl CloudPlacement {
         self.least_stretch
     }
 
-    /// The largest radius of any point along any direction, world space.
-    pub(in crate::trace) fn largest_radius_world(&self) -> f64 {
+    /// The largest detail of any point along any direction, world space.
+    pub(in crate::trace) fn largest_detail_world(&self) -> f64 {
         let stretch =
             if self.local_from_world.is_some() { largest_stretch(&self.world_from_local) } else { 1.0 };
-        f64::from(self.header().radius.max()) * stretch
+        f64::from(self.header().details().1) * stretch
     }
 
     /// Bounds of influence of a node, world space.

@@ -250,7 +250,7 @@ impl Expected {
     /// Extinction, per unit of world space, of the mean density of all points below a node,
     /// averaged over their bounds of influence.
     fn extinction(&self, node: &Node, bounds: &Aabb) -> f64 {
-        let radius = (f64::from(node.radius_min) * f64::from(node.radius_max)).sqrt();
+        let radius = (f64::from(node.detail_min) * f64::from(node.detail_max)).sqrt();
         let point = if self.normalised { 1.0 } else { self.point_integral * radius.powi(3) };
         let density = node.weight_sum * point / bounds.size().element_product();
         self.transfer.extinction(density, self.unit_distance)

@@ -69,7 +69,7 @@ struct Detail {
 enum Within {
     Bounds,
     Box(Aabb),
-    Sphere(DVec3, Aabb),
+    Sphere(DVec3, f64, Aabb),
 }
 
 impl ReferenceSteps {
@@ -200,7 +200,8 @@ impl ByPlace {
     fn details_of_cloud(&self, object: &CloudObject, stretch: f64) -> Result<Vec<Detail>, ScanError> {
         let header = object.cloud.header();
         let root = header.root_cell();
-        let (least, most) = (f64::from(header.radius.min()), f64::from(header.radius.max()));
+        let (least, most) = header.details();
+        let (least, most) = (f64::from(least), f64::from(most));
         if least == most && !self.is_scattered(header.bounds.size(), least, stretch) {
             return Ok(vec![Detail { length: least, within: Within::Bounds }]);
         }
@@ -212,11 +213,12 @@ impl ByPlace {
             }
             let nodes = NodePage::scaled(bytes, header);
             for node in (0..nodes.len()).filter_map(|i| nodes.get(i)).filter(|node| node.own.runs > 0) {
-                let (bounds, finest) = (node.bounds(root), f64::from(node.radius_min));
+                let (bounds, finest) = (node.bounds(root), f64::from(node.detail_min));
                 let half_cell = root.size * 2_f64.powi(-i32::from(node.level) - 1);
-                let finest = if node.child_mask == 0 { finest } else { finest.max(half_cell) };
+                let is_of_balls = header.shape.is_none();
+                let finest = if node.child_mask > 0 && is_of_balls { finest.max(half_cell) } else { finest };
                 let k = self.k(finest * stretch);
-                let is_one = k - self.k(f64::from(node.radius_max) * stretch) >= -1;
+                let is_one = k - self.k(f64::from(node.detail_max) * stretch) >= -1;
                 let is_short = bounds.size().max_element() * stretch <= 64.0 * self.step(k);
                 if (is_one || is_short) && !self.is_scattered(bounds.size(), finest, stretch) {
                     details.push(Detail { length: finest, within: Within::Box(bounds) });
@@ -232,25 +234,28 @@ impl ByPlace {
     }
 
     /// Adds a group of points of a node, or each of them.
-    fn add_group(&self, group: &[(DVec3, f64)], of_node: &Aabb, stretch: f64, details: &mut Vec<Detail>) {
+    fn add_group(&self, group: &[StepPoint], of_node: &Aabb, stretch: f64, details: &mut Vec<Detail>) {
         let mut around = Aabb::EMPTY;
-        for &(point, radius) in group {
-            around.include(point - radius);
-            around.include(point + radius);
+        for point in group {
+            around.include(point.position - point.radius);
+            around.include(point.position + point.radius);
         }
         let around = around.intersection(*of_node);
-        let least = group.iter().map(|point| point.1).fold(f64::INFINITY, f64::min);
+        let least = group.iter().map(|point| point.detail).fold(f64::INFINITY, f64::min);
         if !self.is_scattered(around.size(), least, stretch) {
             details.push(Detail { length: least, within: Within::Box(around) });
             return;
         }
-        let sphere = |&(at, length): &(DVec3, f64)| Detail { length, within: Within::Sphere(at, around) };
+        let sphere = |point: &StepPoint| {
+            let StepPoint { position, radius, detail } = *point;
+            Detail { length: detail, within: Within::Sphere(position, radius, around) }
+        };
         details.extend(group.iter().map(sphere));
     }
 
-    /// Whether points in a box of some size, of which the smallest has a radius, are scattered.
-    fn is_scattered(&self, size: DVec3, radius: f64, stretch: f64) -> bool {
-        size.max_element() > 256.0 * radius && self.k(radius * stretch) <= -4
+    /// Whether points in a box of some size, of which the least has a detail, are scattered.
+    fn is_scattered(&self, size: DVec3, detail: f64, stretch: f64) -> bool {
+        size.max_element() > 256.0 * detail && self.k(detail * stretch) <= -4
     }
 
     fn asked(&self, ray: &Ray) -> Asked {
@@ -269,8 +274,8 @@ impl ByPlace {
                 let within = match &detail.within {
                     Within::Bounds => Some((enter, exit)),
                     Within::Box(bounds) => bounds.clip(&local),
-                    Within::Sphere(at, around) => {
-                        let sphere = passes(&local, *at, detail.length);
+                    Within::Sphere(at, radius, around) => {
+                        let sphere = passes(&local, *at, *radius);
                         let both = |(a, b): (f64, f64), (c, d): (f64, f64)| (a.max(c), b.min(d));
                         sphere.zip(around.clip(&local)).map(|(a, b)| both(a, b))
                     }
@@ -338,9 +343,9 @@ fn collect<'a>(node: &'a Node, world_from_parent: &DAffine3, leaves: &mut Vec<Le
             return children.iter().for_each(|child| collect(child, &world_from_local, leaves));
         }
         Shape::Cloud(object) => {
-            let radius = object.cloud.header().radius;
-            let is_alike = radius.min() == radius.max() && world_from_local == DAffine3::IDENTITY;
-            (Some(object), world_from_local, f64::from(radius.max()), is_alike)
+            let (least, most) = object.cloud.header().details();
+            let is_alike = least == most && world_from_local == DAffine3::IDENTITY;
+            (Some(object), world_from_local, f64::from(most), is_alike)
         }
         // Of voxels one to the right, one up and one away from each other.
         Shape::Grid(object) => (None, world_from_local * object.grid.header().space_from_voxel, 2.0, true),
@@ -350,8 +355,16 @@ fn collect<'a>(node: &'a Node, world_from_parent: &DAffine3, leaves: &mut Vec<Le
     leaves.push(Leaf { cloud, bounds, world_from_local, is_solid, largest, is_alike, at_least: 0.0 });
 }
 
-/// For each page of points its runs: positions and radii.
-type Runs = BTreeMap<u32, Vec<Vec<(DVec3, f64)>>>;
+/// For each page of points its runs.
+type Runs = BTreeMap<u32, Vec<Vec<StepPoint>>>;
+
+/// A point of a cloud: its detail is its radius, of an ellipsoid the shortest semi-axis.
+#[derive(Clone, Copy)]
+struct StepPoint {
+    position: DVec3,
+    radius: f64,
+    detail: f64,
+}
 
 fn runs_of(object: &CloudObject) -> Result<Runs, ScanError> {
     let header = object.cloud.header();
@@ -362,7 +375,13 @@ fn runs_of(object: &CloudObject) -> Result<Runs, ScanError> {
             Some(radii) => radii.map(f64::from).collect(),
             None => vec![f64::from(header.radius.min()); positions.len()],
         };
-        runs.entry(page).or_default().push(positions.into_iter().zip(radii).collect());
+        let details: Vec<f64> = match run.details(header) {
+            Some(details) => details.map(f64::from).collect(),
+            None => radii.clone(),
+        };
+        let points = positions.into_iter().zip(radii).zip(details);
+        let points = points.map(|((position, radius), detail)| StepPoint { position, radius, detail });
+        runs.entry(page).or_default().push(points.collect());
     })?;
     Ok(runs)
 }

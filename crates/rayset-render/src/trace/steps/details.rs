@@ -206,8 +206,8 @@ impl DetailedObject {
             _ if matches!(self.looked_at, LookedAt::Whole) => {}
             Action::Cloud(volume) => {
                 let cloud = &volume.placement;
-                let radius = f64::from(cloud.header().radius.max());
-                let length = |ray: &Ray| radius / cloud.stretch_along(ray.direction);
+                let detail = f64::from(cloud.header().details().1);
+                let length = |ray: &Ray| detail / cloud.stretch_along(ray.direction);
                 add_whole(place.rays, &instruction.object_bounds, &scale, length, chords);
             }
             Action::Procedural(volume) => {
@@ -241,11 +241,11 @@ fn add_whole(
     }
 }
 
-/// Whether the bounds of a cloud say where which steps are needed: its points have one radius, and
+/// Whether the bounds of a cloud say where which steps are needed: its points have one detail, and
 /// are not both scattered and far finer than everything else.
 fn is_one_by_bounds(cloud: &CloudPlacement, scale: &Scale) -> bool {
     let header = cloud.header();
-    let (least, radius) = (f64::from(header.radius.min()), f64::from(header.radius.max()));
-    let scattered = header.bounds.size().max_element() > SCATTERED * radius;
-    least == radius && !(scattered && scale.of(cloud.largest_radius_world()) <= ASKED_THEMSELVES)
+    let (least, most) = header.details();
+    let scattered = header.bounds.size().max_element() > SCATTERED * f64::from(most);
+    least == most && !(scattered && scale.of(cloud.largest_detail_world()) <= ASKED_THEMSELVES)
 }

@@ -1,9 +1,10 @@
 //! The details of a cloud: the nodes of its octree, groups of points, and points.
 //!
-//! A node whose points all ask for about the same steps, or that is hardly wider than a cell of the
-//! finest of them, is a detail of their least radius, within its bounds. Of others, groups of
-//! [`GROUP_POINTS`] points are, which follow each other in a run, each of its least radius, within
-//! the box around its spheres of influence. If a group's points are scattered, most rays that meet
+//! The detail of a point is its radius, of ellipsoids the shortest semi-axis. A node whose points
+//! all ask for about the same steps, or that is hardly wider than a cell of the finest of them, is
+//! a detail of the least of theirs, within its bounds. Of others, groups of [`GROUP_POINTS`] points
+//! are, which follow each other in a run, each of its least detail, within the box around the
+//! spheres of its points' radii. If a group's points are scattered, most rays that meet
 //! its box meet no point: then a ray has a detail where it passes through one.
 
 use std::ops::Range;
@@ -224,7 +225,7 @@ impl Search<'_> {
 impl Meeting<'_> {
     /// The least k that a node and what is below it ask for on any ray.
     fn finest_in(&self, node: &Node) -> i32 {
-        self.rule.scale.of(f64::from(node.radius_min) / self.rays.stretches.1)
+        self.rule.scale.of(f64::from(node.detail_min) / self.rays.stretches.1)
     }
 
     /// Adds the chords of a node's own points.
@@ -237,22 +238,22 @@ impl Meeting<'_> {
         search: &mut Search<'_>,
     ) -> Result<(), Halt> {
         let Self { rule: StepRule { scale, .. }, cloud, rays, .. } = self;
-        let own = if node.child_mask == 0 {
-            f64::from(node.radius_min)
-        } else if node.own.runs > 0 {
+        if node.own.runs == 0 {
+            return Ok(());
+        }
+        let mut own = f64::from(node.detail_min);
+        if node.child_mask != 0 && cloud.header().shape.is_none() {
             // Own points of an inner node are wider than the cells of its children.
             let cell = cloud.root_cell.size * 2_f64.powi(-i32::from(node.level) - 1);
-            f64::from(cell as f32).max(f64::from(node.radius_min))
-        } else {
-            return Ok(());
-        };
+            own = f64::from(cell as f32).max(own);
+        }
         if scale.of(own / rays.stretches.1) >= 0 {
             return Ok(());
         }
         // Of all rays together: what is divided must not depend on who else is in the packet.
         let stretch = cloud.least_stretch();
         let k = scale.of(own / stretch);
-        let is_one = k + 1 >= scale.of(f64::from(node.radius_max) / stretch);
+        let is_one = k + 1 >= scale.of(f64::from(node.detail_max) / stretch);
         let is_short = bounds.size().max_element() <= LONGEST_WHOLE * self.rule.cell_world(k) * stretch;
         if (is_one || is_short) && !self.is_scattered(bounds, own) {
             self.add_box(near, own, search);
@@ -275,20 +276,20 @@ impl Meeting<'_> {
 
     /// Whether most rays that meet a box of points are expected to meet none of them, and steps for
     /// them are far finer than others.
-    fn is_scattered(&self, bounds: &Aabb, radius: f64) -> bool {
-        let k = self.rule.scale.of(radius / self.cloud.least_stretch());
-        bounds.size().max_element() > SCATTERED * radius && k <= ASKED_THEMSELVES
+    fn is_scattered(&self, bounds: &Aabb, detail: f64) -> bool {
+        let k = self.rule.scale.of(detail / self.cloud.least_stretch());
+        bounds.size().max_element() > SCATTERED * detail && k <= ASKED_THEMSELVES
     }
 
-    /// Adds the chords of rays through a box, as a detail of a radius.
-    fn add_box(&self, clipped: &Clipped, radius: f64, search: &mut Search<'_>) {
+    /// Adds the chords of rays through a box, as a detail of a length.
+    fn add_box(&self, clipped: &Clipped, length: f64, search: &mut Search<'_>) {
         let (least, most) = self.rays.stretches;
-        let of_all = (least == most).then(|| self.rule.scale.of(radius / most));
+        let of_all = (least == most).then(|| self.rule.scale.of(length / most));
         if of_all == Some(0) {
             return;
         }
         each_lane(clipped.lanes, |lane| {
-            let k = of_all.unwrap_or_else(|| self.rule.scale.of(radius / self.rays.stretch[lane]));
+            let k = of_all.unwrap_or_else(|| self.rule.scale.of(length / self.rays.stretch[lane]));
             if k < 0 {
                 let (enter, exit) = (clipped.enter[lane], clipped.exit[lane]);
                 search.add(Chord { lane: lane as u8, k: k as i8, enter, exit });
@@ -303,23 +304,24 @@ impl Meeting<'_> {
             return;
         }
         let near = self.rays.clip(&bounds, near);
-        if self.is_scattered(&bounds, group.least_radius) {
-            group.points().for_each(|(point, radius)| self.add_point(point, radius, &near, search));
+        if self.is_scattered(&bounds, group.least_detail) {
+            group.points().for_each(|point| self.add_point(point, &near, search));
         } else {
-            self.add_box(&near, group.least_radius, search);
+            self.add_box(&near, group.least_detail, search);
         }
     }
 
-    /// Adds the chords of rays through the sphere of influence of a point, in the cloud's space, as
-    /// far as they are in the box of its group.
-    fn add_point(&self, point: DVec3, radius: f64, group: &Clipped, search: &mut Search<'_>) {
+    /// Adds the chords of rays through the sphere of a point's radius, in the cloud's space, as far
+    /// as they are in the box of its group.
+    fn add_point(&self, point: GroupPoint, group: &Clipped, search: &mut Search<'_>) {
+        let GroupPoint { position, radius, detail } = point;
         each_lane(group.lanes, |lane| {
             // The unit direction in local space, for the squared distance to the ray's line.
             let (ray, stretch) = (&self.rays.rays[lane], self.rays.stretch[lane]);
-            let (to, direction) = (point - ray.origin, ray.direction / stretch);
+            let (to, direction) = (position - ray.origin, ray.direction / stretch);
             let along = to.dot(direction);
             let inside = radius * radius - (to - direction * along).length_squared();
-            let k = self.rule.scale.of(radius / stretch);
+            let k = self.rule.scale.of(detail / stretch);
             if inside > 0.0 && along > -radius && k < 0 {
                 let half = inside.sqrt();
                 let enter = ((along - half) / stretch).max(group.enter[lane]);
@@ -340,6 +342,15 @@ struct RunGroups<'t> {
     /// In the cloud's space.
     position: [[f64; RUN_POINTS]; 3],
     radius: [f64; RUN_POINTS],
+    detail: [f64; RUN_POINTS],
+}
+
+/// A point of a group, in the cloud's space.
+#[derive(Clone, Copy)]
+struct GroupPoint {
+    position: DVec3,
+    radius: f64,
+    detail: f64,
 }
 
 /// A group of points.
@@ -347,23 +358,25 @@ struct Group<'t> {
     run: &'t RunGroups<'t>,
     /// Numbers of its points in the run.
     numbers: Range<usize>,
-    /// The box around its spheres of influence, in the cloud's space.
+    /// The box around the spheres of their radii, in the cloud's space.
     bounds: Aabb,
-    least_radius: f64,
+    least_detail: f64,
 }
 
 impl Group<'_> {
-    /// The points, each with its radius.
-    fn points(&self) -> impl Iterator<Item = (DVec3, f64)> {
-        let [x, y, z] = &self.run.position;
-        self.numbers.clone().map(move |i| (DVec3::new(x[i], y[i], z[i]), self.run.radius[i]))
+    fn points(&self) -> impl Iterator<Item = GroupPoint> {
+        let RunGroups { position: [x, y, z], radius, detail, .. } = self.run;
+        self.numbers.clone().map(move |i| {
+            let position = DVec3::new(x[i], y[i], z[i]);
+            GroupPoint { position, radius: radius[i], detail: detail[i] }
+        })
     }
 }
 
 impl<'t> RunGroups<'t> {
     fn new(cloud: &'t CloudPlacement, simd: SimdLevel) -> Self {
         let radius = [f64::from(cloud.header().radius.min()); RUN_POINTS];
-        Self { cloud, simd, len: 0, position: [[0.0; RUN_POINTS]; 3], radius }
+        Self { cloud, simd, len: 0, position: [[0.0; RUN_POINTS]; 3], radius, detail: radius }
     }
 
     fn decode(&mut self, run: &Run<'_>) {
@@ -380,18 +393,24 @@ impl<'t> RunGroups<'t> {
             column[last_group.clone()].fill(last);
         }
         let last = self.radius[self.len - 1];
-        self.radius[last_group].fill(last);
+        self.radius[last_group.clone()].fill(last);
+        self.detail = self.radius;
+        if let Some(stored) = run.details(self.cloud.header()) {
+            self.detail.iter_mut().zip(stored).for_each(|(detail, stored)| *detail = f64::from(stored));
+            let last = self.detail[self.len - 1];
+            self.detail[last_group].fill(last);
+        }
     }
 
     fn each(&self, mut visit: impl FnMut(Group<'_>)) {
         for first in (0..self.len).step_by(GROUP_POINTS) {
-            let (bounds, least_radius) = dispatch!(self.simd.level(), simd => self.bounds(simd, first));
+            let (bounds, least_detail) = dispatch!(self.simd.level(), simd => self.bounds(simd, first));
             let numbers = first..self.len.min(first + GROUP_POINTS);
-            visit(Group { run: self, numbers, bounds, least_radius });
+            visit(Group { run: self, numbers, bounds, least_detail });
         }
     }
 
-    /// The box around the spheres of influence of a group, and the least radius.
+    /// The box around the spheres of the radii of a group, and the least detail.
     #[inline(always)]
     fn bounds<S: Simd>(&self, simd: S, first: usize) -> (Aabb, f64) {
         let of = |column: &[f64; RUN_POINTS], at: usize| f64x4::from_slice(simd, &column[at..at + 4]);
@@ -406,7 +425,7 @@ impl<'t> RunGroups<'t> {
             }
             (bounds.min[axis], bounds.max[axis]) = (low.reduce_min_precise(), high.reduce_max_precise());
         }
-        let radii = (first..first + GROUP_POINTS).step_by(4).map(|at| of(&self.radius, at));
-        (bounds, radii.fold(least, |least, radius| least.min_precise(radius)).reduce_min_precise())
+        let details = (first..first + GROUP_POINTS).step_by(4).map(|at| of(&self.detail, at));
+        (bounds, details.fold(least, |least, detail| least.min_precise(detail)).reduce_min_precise())
     }
 }

@@ -134,7 +134,8 @@ fn put_summary(to: &mut Writer, summary: &Summary) {
     to.f64(summary.radius_sum);
     to.vec(summary.moment);
     to.f64(summary.mass);
-    to.u32(summary.radius_min.to_bits());
+    to.u32(summary.detail_min.to_bits());
+    to.u32(summary.detail_max.to_bits());
     to.u32(summary.radius_max.to_bits());
     to.f64(summary.position_error);
     to.f64(summary.position_error_radii);
@@ -184,7 +185,8 @@ fn summary(from: &mut Reader<'_>) -> Option<Summary> {
         radius_sum: from.f64()?,
         moment: from.vec()?,
         mass: from.f64()?,
-        radius_min: f32::from_bits(from.u32()?),
+        detail_min: f32::from_bits(from.u32()?),
+        detail_max: f32::from_bits(from.u32()?),
         radius_max: f32::from_bits(from.u32()?),
         position_error: from.f64()?,
         position_error_radii: from.f64()?,

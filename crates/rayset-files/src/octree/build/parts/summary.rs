@@ -37,6 +37,7 @@ pub(super) struct Choices {
 #[derive(Clone, Debug, PartialEq, serde::Deserialize, serde::Serialize)]
 struct StoredForm {
     has_radius: bool,
+    has_shape: bool,
     has_weight: bool,
     has_color: bool,
     attributes: Vec<StoredColumn>,
@@ -71,6 +72,7 @@ struct StoredTotals {
     bounds: [u64; 6],
     radius_range: (u32, u32),
     weight_range: (u32, u32),
+    shapes: u64,
     depths: StoredDepths,
     attribute_ranges: Vec<(u64, u64)>,
 }
@@ -175,6 +177,7 @@ impl StoredForm {
         };
         Self {
             has_radius: form.layout.has_radius,
+            has_shape: form.layout.has_shape,
             has_weight: form.layout.has_weight,
             has_color: form.layout.has_color,
             attributes: form.attributes.iter().map(column).collect(),
@@ -198,6 +201,7 @@ impl StoredForm {
         let attributes = self.attributes.iter().map(column).collect::<Option<Vec<_>>>()?;
         let layout = RecordLayout {
             has_radius: self.has_radius,
+            has_shape: self.has_shape,
             has_weight: self.has_weight,
             has_color: self.has_color,
             attributes: attributes.iter().map(|info| info.kind).collect(),
@@ -229,6 +233,7 @@ impl StoredTotals {
             bounds: [min[0], min[1], min[2], max[0], max[1], max[2]].map(f64::to_bits),
             radius_range: bits(totals.radius_range),
             weight_range: bits(totals.weight_range),
+            shapes: totals.shapes,
             depths: StoredDepths::of(&totals.depths),
             attribute_ranges: (totals.attribute_ranges.iter())
                 .map(|(min, max)| (min.to_bits(), max.to_bits()))
@@ -250,6 +255,7 @@ impl StoredTotals {
             bounds: Aabb { min: DVec3::new(a, b, c), max: DVec3::new(d, e, f) },
             radius_range: floats(self.radius_range),
             weight_range: floats(self.weight_range),
+            shapes: self.shapes,
             depths: self.depths.restored(),
             attribute_ranges: (self.attribute_ranges.iter())
                 .map(|&(min, max)| (f64::from_bits(min), f64::from_bits(max)))
