@@ -9,9 +9,11 @@ mod bounds;
 pub mod curve;
 mod ray;
 mod shape;
+mod symmetric;
 
 pub use beam::Beam;
 pub use bounds::Aabb;
 pub use glam::{DAffine3, DMat3, DQuat, DVec3};
 pub use ray::Ray;
 pub use shape::Shape;
+pub use symmetric::eigenvectors;

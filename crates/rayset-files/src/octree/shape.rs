@@ -30,6 +30,18 @@ impl StoredShape {
     pub const BALL: Self =
         Self([ZERO as u16 | 1 << 15, ZERO as u16 | 1 << 15, ZERO as u16, u16::MAX, u16::MAX]);
 
+    /// Its ten bytes.
+    #[must_use]
+    pub fn to_bytes(self) -> [u8; 2 * SHAPE_COLUMNS] {
+        std::array::from_fn(|i| self.0[i / 2].to_le_bytes()[i % 2])
+    }
+
+    /// That of ten bytes.
+    #[must_use]
+    pub fn from_bytes(bytes: [u8; 2 * SHAPE_COLUMNS]) -> Self {
+        Self(std::array::from_fn(|word| u16::from_le_bytes([bytes[2 * word], bytes[2 * word + 1]])))
+    }
+
     /// The nearest shape that can be stored.
     #[must_use]
     pub fn encode(shape: &Shape) -> Self {

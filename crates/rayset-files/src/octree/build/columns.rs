@@ -16,6 +16,8 @@ pub(super) struct Columns {
     pub(super) radius: Option<usize>,
     pub(super) weight: Option<usize>,
     pub(super) attributes: Vec<usize>,
+    /// Whether shapes are measured, with the radii.
+    pub(super) measures_shapes: bool,
     /// The attributes, each of the common type of all sources.
     pub(super) infos: Vec<ColumnInfo>,
 }
@@ -83,6 +85,7 @@ impl Columns {
         };
         let mut of_rule =
             |rule: &Rule| if let Rule::Attribute(name) = rule { Some(place(name)) } else { None };
+        let is_auto = *radius == Rule::Auto;
         let (radius, weight) = (of_rule(radius), of_rule(weight));
         let has_color = options.keep_color && sources.iter().any(|source| colors(source.schema()).is_some());
         let has_shape = options.shape != ShapeRule::Round
@@ -103,7 +106,8 @@ impl Columns {
             has_color,
             attributes: infos.iter().map(|info| info.kind).collect(),
         };
-        Ok(Self { layout, names, radius, weight, attributes, infos })
+        let measures_shapes = is_auto && options.shape != ShapeRule::Round && !has_shape;
+        Ok(Self { layout, names, radius, weight, attributes, measures_shapes, infos })
     }
 
     /// The columns to select of source `input`. Those in `names` come first, in their order.

@@ -1,4 +1,5 @@
-//! Records along the Hilbert curve, and the distances of their points to their neighbours.
+//! Records along the Hilbert curve, and what their neighbours say of the radii and shapes of their
+//! points.
 //!
 //! Points with equal coordinates are one place. Their records follow each other, for records of one
 //! Hilbert code are sorted by their bytes, and those begin with the coordinates. Only the first
@@ -9,6 +10,7 @@ use std::ops::Range;
 use super::context::Context;
 use super::control::Stage;
 use super::error::BuildError;
+use super::neighbourhood::Suggested;
 use super::neighbours::{STRETCH, Search, Stretches, square_between};
 use super::pipeline;
 use super::record::{self, KeyMaker};
@@ -74,11 +76,26 @@ struct Section {
     way: Way,
 }
 
-/// The radii of a block; 0 where the neighbours suggest none.
-struct BlockRadii {
-    of_records: Vec<f64>,
-    /// Those of places that begin in the block, and of how many places each is.
-    of_places: Vec<f64>,
+/// What the neighbours of a place say of its points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct OfPlace {
+    /// The radius that a ball would have; 0 where they suggest none.
+    pub(super) radius: f64,
+    pub(super) suggested: Suggested,
+}
+
+impl OfPlace {
+    /// A ball.
+    fn ball(radius: f64) -> Self {
+        Self { radius, suggested: Suggested::NOTHING }
+    }
+}
+
+/// What is measured of a block.
+struct BlockMeasures {
+    of_records: Vec<OfPlace>,
+    /// Of places that begin in the block, and of how many places each is.
+    of_places: Vec<OfPlace>,
     times: u64,
 }
 
@@ -234,21 +251,22 @@ fn sections(crowds: &[Crowd], range: &Range<u64>, block: u64) -> (Vec<Section>, 
 }
 
 impl Curve<'_> {
-    /// Measures the radii that the neighbours of the records of a range suggest, 0 where they
-    /// suggest none. `store` is given those of some records, by any thread; then `pass` is, in the
-    /// order of the curve. No crowd may be partly in the range.
-    pub(super) fn measure(
+    /// Measures what the neighbours of the records of a range suggest, of which `LEN` are looked
+    /// for. `store` is given that of some records, by any thread; then `pass` is, in the order of
+    /// the curve. No crowd may be partly in the range.
+    pub(super) fn measure<const LEN: usize>(
         &self,
         context: &Context<'_>,
         scale: f64,
         range: &Range<u64>,
-        store: impl Fn(&Range<u64>, &[f64]) -> Result<(), BuildError> + Sync,
-        mut pass: impl FnMut(&[f64]) -> Result<(), BuildError>,
+        store: impl Fn(&Range<u64>, &[OfPlace]) -> Result<(), BuildError> + Sync,
+        mut pass: impl FnMut(&[OfPlace]) -> Result<(), BuildError>,
     ) -> Result<Measured, BuildError> {
         let threads = context.options.threads.max(1);
         // A block needs memory for its records, their positions and distances, and as much again
         // for records elsewhere.
-        let per_record = (self.stride + 24 + 8 * 9 + 16 + 12) as u64;
+        let of_place = Search::<LEN>::POINT_BYTES + 2 * size_of::<OfPlace>();
+        let per_record = (self.stride + 24 + of_place + 12) as u64;
         let block = context.options.memory_bytes / 3 / (threads as u64 + 2) / per_record;
         let block = block.clamp(512, MOST_IN_BLOCK) / STRETCH as u64 * STRETCH as u64;
         let mut measured = Measured::default();
@@ -259,40 +277,41 @@ impl Curve<'_> {
             let first = records.start + (number as u64 - first_block) * block;
             let range = first..(first + block).min(records.end);
             let begins = first == records.start;
-            let all_of = |radius: f64, times: u64| BlockRadii {
-                of_records: vec![radius; (range.end - range.start) as usize],
-                of_places: if begins { vec![radius] } else { Vec::new() },
+            let all_of = |place: OfPlace, times: u64| BlockMeasures {
+                of_records: vec![place; (range.end - range.start) as usize],
+                of_places: if begins { vec![place] } else { Vec::new() },
                 times,
             };
-            let radii = match way {
-                Way::EachPlace => self.measure_block(context, &range, scale)?,
+            let measures = match way {
+                Way::EachPlace => self.measure_block::<LEN>(context, &range, scale)?,
                 Way::OnePlace => {
-                    let one = self.measure_block(context, &(records.start..records.start + 1), scale)?;
-                    all_of(one.of_records.first().copied().unwrap_or(0.0), 1)
+                    let first = records.start..records.start + 1;
+                    let one = self.measure_block::<LEN>(context, &first, scale)?;
+                    all_of(one.of_records.first().copied().unwrap_or(OfPlace::ball(0.0)), 1)
                 }
-                Way::Spread { radius, places } => all_of(scale * radius, *places),
+                Way::Spread { radius, places } => all_of(OfPlace::ball(scale * radius), *places),
             };
-            store(&range, &radii.of_records)?;
-            Ok(radii)
+            store(&range, &measures.of_records)?;
+            Ok(measures)
         };
         let count = range.end - range.start;
         let mut done = count;
-        pipeline::ordered(blocks as usize, threads, work, |_, radii| {
-            radii.of_places.iter().for_each(|&radius| measured.count(radius, radii.times));
-            done += radii.of_records.len() as u64;
+        pipeline::ordered(blocks as usize, threads, work, |_, measures| {
+            measures.of_places.iter().for_each(|place| measured.count(place, measures.times));
+            done += measures.of_records.len() as u64;
             context.progress(Stage::Spacing, done / 2, count);
-            pass(&radii.of_records)
+            pass(&measures.of_records)
         })?;
         Ok(measured)
     }
 
-    /// Measures the radii of a block.
-    fn measure_block(
+    /// Measures the places of a block.
+    fn measure_block<const LEN: usize>(
         &self,
         context: &Context<'_>,
         block: &Range<u64>,
         scale: f64,
-    ) -> Result<BlockRadii, BuildError> {
+    ) -> Result<BlockMeasures, BuildError> {
         let (mut bytes, mut points) = (Vec::new(), Stretches::default());
         let mut place_of_record = Vec::with_capacity((block.end - block.start) as usize);
         // The first place, if it began before the block.
@@ -307,28 +326,31 @@ impl Curve<'_> {
             place_of_record.push(points.len() as u32 - 1);
         })?;
         drop(bytes);
-        let mut search = Search::among(&points, || !context.is_cancelled());
+        let mut search = Search::<LEN>::among(&points, || !context.is_cancelled());
         context.check()?;
         self.search_elsewhere(context, block, continued, &mut search)?;
         let radius = |distance: f64| {
             if distance.is_finite() { RADII_PER_DISTANCE * scale * distance } else { 0.0 }
         };
-        let mut of_places: Vec<f64> = search.distances().map(radius).collect();
+        let suggested =
+            search.neighbours().map(|near| near.map_or(Suggested::NOTHING, Suggested::by_neighbours));
+        let of_place = |(distance, suggested)| OfPlace { radius: radius(distance), suggested };
+        let mut of_places: Vec<OfPlace> = search.distances().zip(suggested).map(of_place).collect();
         let of_records = place_of_record.into_iter().map(|place| of_places[place as usize]).collect();
         if continued.is_some() {
             of_places.remove(0);
         }
-        Ok(BlockRadii { of_records, of_places, times: 1 })
+        Ok(BlockMeasures { of_records, of_places, times: 1 })
     }
 
     /// Looks for neighbours outside of the block that is searched for. `continued` is its first
     /// place, if that began before.
-    fn search_elsewhere(
+    fn search_elsewhere<const LEN: usize>(
         &self,
         context: &Context<'_>,
         block: &Range<u64>,
         continued: Option<[f64; 3]>,
-        search: &mut Search<'_>,
+        search: &mut Search<'_, LEN>,
     ) -> Result<(), BuildError> {
         let (bounds, reach) = search.extent();
         let boxes = &self.boxes.boxes;
@@ -337,7 +359,7 @@ impl Curve<'_> {
             .filter(|&(square, number)| {
                 let range = self.boxes.records(number);
                 let is_within = block.start <= range.start && range.end <= block.end;
-                square < reach && !is_within && !self.boxes.goes_on(number)
+                Search::<LEN>::is_within(square, reach) && !is_within && !self.boxes.goes_on(number)
             })
             .collect();
         // The nearest first: what is found there makes the others too far away.

@@ -245,7 +245,7 @@ impl Tally<'_> {
                 );
             };
             totals.shapes += u64::from(shape != StoredShape::BALL);
-            shape.0.iter().for_each(|word| record.extend_from_slice(&word.to_le_bytes()));
+            record.extend_from_slice(&shape.to_bytes());
         }
         if let Some(column) = columns.weight {
             let w = batch.columns[column].get(i) * self.options.weight_scale;

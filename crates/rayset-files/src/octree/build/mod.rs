@@ -22,6 +22,7 @@ mod depths;
 mod distinct;
 mod error;
 mod ingest;
+mod neighbourhood;
 mod neighbours;
 mod options;
 mod partition;

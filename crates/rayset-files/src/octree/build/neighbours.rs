@@ -1,4 +1,4 @@
-//! Distances to k-th nearest neighbours among points in Hilbert order.
+//! The nearest neighbours of points in Hilbert order: how far away they are, and where.
 //!
 //! Consecutive points are close to each other, so boxes around short stretches of them serve as a
 //! search tree. Points are queried a stretch at a time: the stretches beside it bound the
@@ -11,10 +11,55 @@ use rayset_base::geometry::{Aabb, DVec3};
 pub(super) const STRETCH: usize = 32;
 /// The neighbour whose distance is measured; a point is its own neighbour 0.
 pub(super) const NEIGHBOUR: usize = 8;
+/// Points that are looked for, themselves included, where only that distance counts.
+pub(super) const FOR_DISTANCE: usize = NEIGHBOUR + 1;
+/// Those where it is also asked where they lie.
+pub(super) const FOR_SHAPE: usize = 17;
 
-/// Squared distances of one point to the nearest points found so far, itself included, in ascending
-/// order.
-type Nearest = [f64; NEIGHBOUR + 1];
+/// The nearest `LEN` points to one that have been found so far, itself included, the nearest first.
+/// Of equally near ones those with smaller coordinates come first, if it is asked where they lie:
+/// which of them are found must not depend on the order in which they are met.
+#[derive(Clone)]
+struct Nearest<const LEN: usize> {
+    squares: [f64; LEN],
+    /// The vectors to them, where these are asked for.
+    offsets: [[f32; 3]; LEN],
+}
+
+impl<const LEN: usize> Nearest<LEN> {
+    const NONE: Self = Self { squares: [f64::INFINITY; LEN], offsets: [[0.0; 3]; LEN] };
+    /// Whether offsets are kept.
+    const HAS_OFFSETS: bool = LEN > FOR_DISTANCE;
+
+    /// Whether points at this squared distance may be among them.
+    fn may_include(&self, square: f64) -> bool {
+        let farthest = self.squares[LEN - 1];
+        square < farthest || (Self::HAS_OFFSETS && square == farthest)
+    }
+
+    fn include(&mut self, square: f64, offset: impl FnOnce() -> [f32; 3]) {
+        if !self.may_include(square) {
+            return;
+        }
+        let offset = if Self::HAS_OFFSETS { offset() } else { [0.0; 3] };
+        let comes_before = |other: f64, place: [f32; 3]| {
+            other > square || (Self::HAS_OFFSETS && other == square && place > offset)
+        };
+        let mut at = LEN;
+        while at > 0 && comes_before(self.squares[at - 1], self.offsets[at - 1]) {
+            at -= 1;
+        }
+        if at == LEN {
+            return;
+        }
+        self.squares.copy_within(at..LEN - 1, at + 1);
+        self.squares[at] = square;
+        if Self::HAS_OFFSETS {
+            self.offsets.copy_within(at..LEN - 1, at + 1);
+            self.offsets[at] = offset;
+        }
+    }
+}
 
 /// Points in Hilbert order, no two of which coincide, and boxes around stretches of them.
 #[derive(Default)]
@@ -52,7 +97,7 @@ impl Stretches {
     }
 
     /// Adds the points of a stretch to the nearest of `point`.
-    fn collect(&self, stretch: usize, point: DVec3, nearest: &mut Nearest) {
+    fn collect<const LEN: usize>(&self, stretch: usize, point: DVec3, nearest: &mut Nearest<LEN>) {
         let range = self.points(stretch);
         let [x, y, z] = &self.axes;
         let (x, y, z) = (&x[range.clone()], &y[range.clone()], &z[range]);
@@ -60,33 +105,34 @@ impl Stretches {
         for (((square, x), y), z) in squares.iter_mut().zip(x).zip(y).zip(z) {
             *square = (x - point.x).powi(2) + (y - point.y).powi(2) + (z - point.z).powi(2);
         }
-        for square in squares {
-            if square < nearest[NEIGHBOUR] {
-                let mut at = NEIGHBOUR;
-                while at > 0 && nearest[at - 1] > square {
-                    nearest[at] = nearest[at - 1];
-                    at -= 1;
-                }
-                nearest[at] = square;
-            }
+        for (i, square) in squares.into_iter().enumerate().take(x.len()) {
+            nearest.include(square, || [x[i] - point.x, y[i] - point.y, z[i] - point.z].map(|v| v as f32));
         }
     }
 }
 
 /// The search for the neighbours of all points of some stretches.
-pub(super) struct Search<'a> {
+pub(super) struct Search<'a, const LEN: usize> {
     queries: &'a Stretches,
-    nearest: Vec<Nearest>,
+    nearest: Vec<Nearest<LEN>>,
     /// For each stretch, the largest squared distance at which a neighbour of one of its points may
     /// still be found.
     reach: Vec<f64>,
 }
 
-impl<'a> Search<'a> {
+impl<'a, const LEN: usize> Search<'a, LEN> {
+    /// Bytes for each point.
+    pub(super) const POINT_BYTES: usize = size_of::<Nearest<LEN>>();
+
+    /// Whether a squared distance is within another, at which a neighbour may still be found.
+    pub(super) fn is_within(square: f64, reach: f64) -> bool {
+        square < reach || (Nearest::<LEN>::HAS_OFFSETS && square == reach)
+    }
+
     /// Finds the neighbours among the points themselves. `go_on` is asked before each stretch; once
     /// it says no, the rest is left out.
     pub(super) fn among(queries: &'a Stretches, go_on: impl Fn() -> bool) -> Self {
-        let nearest = vec![[f64::INFINITY; NEIGHBOUR + 1]; queries.len()];
+        let nearest = vec![Nearest::NONE; queries.len()];
         let mut search = Self { queries, nearest, reach: vec![f64::INFINITY; queries.boxes.len()] };
         let mut candidates = Vec::new();
         for stretch in 0..queries.boxes.len() {
@@ -101,7 +147,8 @@ impl<'a> Search<'a> {
             let (bounds, reach) = (queries.boxes[stretch], search.reach[stretch]);
             candidates.clear();
             candidates.extend((0..queries.boxes.len()).filter(|other| {
-                !beside.contains(other) && square_between(&bounds, &queries.boxes[*other]) < reach
+                let square = square_between(&bounds, &queries.boxes[*other]);
+                !beside.contains(other) && Self::is_within(square, reach)
             }));
             search.visit(stretch, queries, &candidates);
         }
@@ -115,11 +162,11 @@ impl<'a> Search<'a> {
         for i in self.queries.points(stretch) {
             let (point, nearest) = (self.queries.point(i), &mut self.nearest[i]);
             for &other in candidates {
-                if square_to(&others.boxes[other], point) < nearest[NEIGHBOUR] {
+                if nearest.may_include(square_to(&others.boxes[other], point)) {
                     others.collect(other, point, nearest);
                 }
             }
-            reach = reach.max(nearest[NEIGHBOUR]);
+            reach = reach.max(nearest.squares[LEN - 1]);
         }
         self.reach[stretch] = reach;
     }
@@ -127,7 +174,7 @@ impl<'a> Search<'a> {
     /// Whether a point in `bounds` could be a neighbour.
     pub(super) fn reaches(&self, bounds: &Aabb) -> bool {
         let stretches = self.queries.boxes.iter().zip(&self.reach);
-        stretches.into_iter().any(|(own, &reach)| square_between(own, bounds) < reach)
+        stretches.into_iter().any(|(own, &reach)| Self::is_within(square_between(own, bounds), reach))
     }
 
     /// Adds other points to the neighbours.
@@ -138,7 +185,7 @@ impl<'a> Search<'a> {
             candidates.clear();
             candidates.extend(
                 (0..others.boxes.len())
-                    .filter(|&other| square_between(&bounds, &others.boxes[other]) < reach),
+                    .filter(|&other| Self::is_within(square_between(&bounds, &others.boxes[other]), reach)),
             );
             if !candidates.is_empty() {
                 self.visit(stretch, others, &candidates);
@@ -155,7 +202,16 @@ impl<'a> Search<'a> {
 
     /// The distance of each point to its neighbour; infinite where there are not so many points.
     pub(super) fn distances(&self) -> impl Iterator<Item = f64> + '_ {
-        self.nearest.iter().map(|nearest| nearest[NEIGHBOUR].sqrt())
+        self.nearest.iter().map(|nearest| nearest.squares[NEIGHBOUR].sqrt())
+    }
+
+    /// The vectors from each point to the nearest ones, itself included; `None` where there are not
+    /// so many points, or it was not asked where they lie.
+    pub(super) fn neighbours(&self) -> impl Iterator<Item = Option<&[[f32; 3]]>> + '_ {
+        self.nearest.iter().map(|nearest| {
+            let are_known = Nearest::<LEN>::HAS_OFFSETS && nearest.squares[LEN - 1].is_finite();
+            are_known.then_some(nearest.offsets.as_slice())
+        })
     }
 }
 
@@ -208,7 +264,7 @@ mod tests {
             let (mut first, mut second) = (Stretches::default(), Stretches::default());
             points[..cut].iter().for_each(|&p| first.push(p));
             points[cut..].iter().for_each(|&p| second.push(p));
-            let mut search = Search::among(&first, || true);
+            let mut search = Search::<FOR_DISTANCE>::among(&first, || true);
             search.extend(&second);
             for (p, found) in points.iter().zip(search.distances()) {
                 assert_eq!(found, brute_force(&points, *p), "{p:?}, cut at {cut}");
@@ -217,9 +273,32 @@ mod tests {
     }
 
     #[test]
+    fn where_neighbours_lie_does_not_depend_on_how_points_are_cut_or_ordered() {
+        // A lattice, on which many are equally near.
+        let mut points: Vec<[f64; 3]> =
+            (0..1500).map(|i| [f64::from(i % 40), f64::from(i / 40), 0.0]).collect();
+        let mut found = Vec::new();
+        for cut in [32, 512, 1500] {
+            let (mut first, mut second) = (Stretches::default(), Stretches::default());
+            points[..cut].iter().for_each(|&p| first.push(p));
+            points[cut..].iter().for_each(|&p| second.push(p));
+            let mut search = Search::<FOR_SHAPE>::among(&first, || true);
+            search.extend(&second);
+            let of_first = points.iter().zip(search.neighbours());
+            let place = of_first.filter(|(p, _)| **p == [7.0, 0.0, 0.0] || **p == [20.0, 20.0, 0.0]);
+            found.extend(place.map(|(p, offsets)| (p[0] as u32, offsets.unwrap().to_vec())));
+            points.reverse();
+        }
+        found.sort_by_key(|(x, _)| *x);
+        found.dedup();
+        let [(_, edge), (_, inside)] = &found[..] else { panic!("{} neighbourhoods", found.len()) };
+        assert!(edge.len() == 17 && edge.contains(&[0.0; 3]) && inside.contains(&[-2.0, -1.0, 0.0]));
+    }
+
+    #[test]
     fn too_few_points_have_no_distance() {
         let mut few = Stretches::default();
         (0..NEIGHBOUR).for_each(|i| few.push([i as f64, 0.0, 0.0]));
-        assert!(Search::among(&few, || true).distances().all(f64::is_infinite));
+        assert!(Search::<FOR_DISTANCE>::among(&few, || true).distances().all(f64::is_infinite));
     }
 }

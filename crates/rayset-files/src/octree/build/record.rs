@@ -27,7 +27,8 @@ pub(super) struct RecordLayout {
 }
 
 const POSITION_BYTES: usize = 24;
-const SHAPE_BYTES: usize = 2 * SHAPE_COLUMNS;
+/// Bytes of a shape.
+pub(super) const SHAPE_BYTES: usize = 2 * SHAPE_COLUMNS;
 const COLOR_BYTES: usize = 16;
 
 impl RecordLayout {
@@ -62,9 +63,10 @@ impl RecordLayout {
         Self { has_weight: true, ..self.clone() }
     }
 
-    /// The same layout with a radius in front of the other columns.
-    pub(super) fn with_radius(&self) -> Self {
-        Self { has_radius: true, ..self.clone() }
+    /// The same layout with a radius in front of the other columns, and behind it a shape if that is
+    /// measured, too.
+    pub(super) fn with_measures(&self, with_shape: bool) -> Self {
+        Self { has_radius: true, has_shape: self.has_shape || with_shape, ..self.clone() }
     }
 }
 
@@ -89,8 +91,7 @@ pub(super) fn color(record: &[u8], at: usize) -> ([f32; 3], u32) {
 
 /// The shape at a byte offset of a record.
 pub(super) fn shape(record: &[u8], at: usize) -> StoredShape {
-    let b = &record[at..at + SHAPE_BYTES];
-    StoredShape(std::array::from_fn(|word| u16::from_le_bytes([b[2 * word], b[2 * word + 1]])))
+    StoredShape::from_bytes(std::array::from_fn(|i| record[at + i]))
 }
 
 /// The radius of a record that has one.

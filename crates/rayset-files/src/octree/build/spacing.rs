@@ -1,6 +1,8 @@
-//! Out-of-core estimation of radii from the local spacing, for points that have none.
+//! Out-of-core estimation of radii from the local spacing, for points that have none, and of their
+//! shapes.
 //!
-//! The radius of a point is 0.85 times the distance to its eighth nearest neighbour. Stray points,
+//! The radius of a ball is 0.85 times the distance to its eighth nearest neighbour; what is no ball
+//! has a multiple of it, by its shape (`neighbourhood`). Stray points,
 //! which are much farther from others than is usual in the cloud, get the median radius: see
 //! [`Typical`]. Points that coincide are one place (`curve`).
 //!
@@ -8,30 +10,32 @@
 //! are loaded again a block at a time: neighbours are looked for in the block, and after that in
 //! the records elsewhere whose boxes are near enough (`neighbours`). Where so many records share a
 //! Hilbert code that the curve says nothing of their places, boxes would be of no use: they have
-//! one radius, by the number of their places and their extent ([`Crowd`]). Other distances are
+//! one radius, by the number of their places and their extent ([`Crowd`]). Other neighbours are
 //! exact, and the rest are counts of them, so the result depends on the points alone.
 
 use super::context::Context;
 use super::control::Stage;
 use super::copies;
-use super::curve::{Boxes, Curve, GRAIN, Sketch, most_boxes};
+use super::curve::{Boxes, Curve, GRAIN, OfPlace, Sketch, most_boxes};
 use super::error::BuildError;
 use super::ingest::Ingested;
+use super::neighbours::{FOR_DISTANCE, FOR_SHAPE};
 use super::partition::Partition;
 use super::pieces::{Assemble, Copy};
 use super::plan::Cell;
-use super::record;
+use super::record::{self, SHAPE_BYTES};
 use super::region::Region;
-use super::survey::LIMIT;
+use super::survey::{LIMIT, Settled, Survey};
 use super::typical::{Measured, Typical};
+use crate::octree::shape::StoredShape;
 use rayset_store::spill::SpillWriter;
 
 /// Bytes of the position of a record, after which its radius is.
 const POSITION: usize = 24;
-/// Position and radius of a record.
+/// Position and radius of a record, after which its shape is.
 const HEAD: usize = 28;
 
-/// Rewrites all records, each with a radius, in the order of the curve; equal ones as one if they
+/// Rewrites all records, each with a radius and perhaps a shape, in the order of the curve; equal ones as one if they
 /// are many.
 pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
     let Ingested { spill, survey } = ingested;
@@ -42,6 +46,7 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
         sketch: Sketch::new(keys, GRAIN, most_boxes(context.options.memory_bytes)),
         writer: SpillWriter::new(context.spill()?, 1 << 20),
         stride,
+        room: if survey.measures_shapes { 4 + SHAPE_BYTES } else { 4 },
     };
     partition.run(Region::all(&spill, survey.count), &Copy, &mut writer)?;
     drop(spill);
@@ -51,25 +56,33 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
     let spill = writer.finish().map_err(context.io("write temporary files in"))?;
     let mut boxes = Boxes::default();
     boxes.push(&sketch.boxes, sketch.grain, sketch.count);
-    let stride = survey.layout.with_radius().stride();
-    let curve = Curve { spill: &spill, stride, crowds: sketch.crowds, boxes };
-    let store = |block: &std::ops::Range<u64>, radii: &[f64]| store(context, &curve, block, radii);
-    let measured = curve.measure(context, survey.auto_scale, &(0..survey.count), store, |_| Ok(()))?;
+    let layout = survey.layout.with_measures(survey.measures_shapes);
+    let curve = Curve { spill: &spill, stride: layout.stride(), crowds: sketch.crowds, boxes };
+    let store =
+        |block: &std::ops::Range<u64>, places: &[OfPlace]| store(context, &curve, &survey, block, places);
+    let (scale, all) = (survey.auto_scale, 0..survey.count);
+    let measured = if survey.measures_shapes {
+        curve.measure::<FOR_SHAPE>(context, scale, &all, store, |_| Ok(()))?
+    } else {
+        curve.measure::<FOR_DISTANCE>(context, scale, &all, store, |_| Ok(()))?
+    };
     measured.check_range(context.options.length_scale, &survey)?;
-    let radius_range = settle(context, &curve, survey.count, &measured, &measured.typical(&survey))?;
-    let measured = Ingested { spill, survey: survey.with_measured_radii(radius_range) };
+    let settled = settle(context, &curve, &survey, &measured)?;
+    let measured = Ingested { spill, survey: survey.with_measures(settled) };
     if copies::are_many(copies, measured.survey.count) {
         return copies::merge(context, measured);
     }
     Ok(measured)
 }
 
-/// Writes sorted records, each with room for a radius.
+/// Writes sorted records, each with room for what is measured.
 struct CurveWriter<'a> {
     context: &'a Context<'a>,
     sketch: Sketch,
     writer: SpillWriter,
     stride: usize,
+    /// Bytes of what is measured.
+    room: usize,
 }
 
 impl CurveWriter<'_> {
@@ -78,7 +91,7 @@ impl CurveWriter<'_> {
             self.sketch.follow(record);
             let io = self.context.io("write temporary files in");
             self.writer.push(&record[..POSITION]).map_err(&io)?;
-            self.writer.push(&[0; 4]).map_err(&io)?;
+            self.writer.push(&[0; 4 + SHAPE_BYTES][..self.room]).map_err(&io)?;
             self.writer.push(&record[POSITION..]).map_err(&io)?;
         }
         Ok(())
@@ -106,53 +119,95 @@ pub(super) fn stored(radius: f64) -> f32 {
     if radius > 0.0 { radius.clamp(1.0 / LIMIT, LIMIT) as f32 } else { 0.0 }
 }
 
-/// Stores the radii of a block.
+/// Stores what was measured of a block.
 fn store(
     context: &Context<'_>,
     curve: &Curve<'_>,
+    survey: &Survey,
     block: &std::ops::Range<u64>,
-    radii: &[f64],
+    places: &[OfPlace],
 ) -> Result<(), BuildError> {
     let mut bytes = Vec::new();
     curve.read(context, block, &mut bytes)?;
-    for (record, &radius) in bytes.chunks_exact_mut(curve.stride).zip(radii) {
-        record[POSITION..HEAD].copy_from_slice(&stored(radius).to_le_bytes());
+    for (record, place) in bytes.chunks_exact_mut(curve.stride).zip(places) {
+        record[POSITION..HEAD].copy_from_slice(&stored(place.radius).to_le_bytes());
+        if survey.measures_shapes {
+            record[HEAD..HEAD + SHAPE_BYTES].copy_from_slice(&place.suggested.shape.to_bytes());
+        }
     }
     // Others may read these records meanwhile, but only their positions, which stay as they are.
     let at = block.start * curve.stride as u64;
     curve.spill.write_at(&bytes, at).map_err(context.io("rewrite temporary files in"))
 }
 
-/// Gives the typical radius to records that have none, or one beyond the limit; returns the range
-/// of all radii.
+/// Gives all records the radii and shapes that they keep.
 fn settle(
     context: &Context<'_>,
     curve: &Curve<'_>,
-    count: u64,
+    survey: &Survey,
     measured: &Measured,
-    typical: &Typical,
-) -> Result<(f32, f32), BuildError> {
-    if let Some(range) = measured.unchanged(typical) {
-        return Ok(range);
+) -> Result<Settled, BuildError> {
+    let mut settling = Settling::new(survey, measured);
+    if let Some(settled) = settling.as_measured(measured) {
+        return Ok(settled);
     }
-    let mut range = (f32::INFINITY, 0.0_f32);
     let mut bytes = Vec::new();
-    for first in (0..count).step_by(8192) {
-        curve.read(context, &(first..(first + 8192).min(count)), &mut bytes)?;
+    for first in (0..survey.count).step_by(8192) {
+        curve.read(context, &(first..(first + 8192).min(survey.count)), &mut bytes)?;
         let mut changed = false;
         for record in bytes.chunks_exact_mut(curve.stride) {
-            let measured = record::radius(record);
-            let radius = typical.settled(measured);
-            if radius != measured {
-                record[POSITION..HEAD].copy_from_slice(&radius.to_le_bytes());
-                changed = true;
-            }
-            range = (range.0.min(radius), range.1.max(radius));
+            changed |= settling.settle(record);
         }
         if changed {
             let at = first * curve.stride as u64;
             curve.spill.write_at(&bytes, at).map_err(context.io("rewrite temporary files in"))?;
         }
     }
-    Ok(range)
+    Ok(settling.settled)
+}
+
+/// Decides which radii and shapes records keep, when those of all are measured: typical radii where
+/// none is known, or one beyond the limit; and no shapes in a cloud without surfaces.
+pub(super) struct Settling {
+    typical: Typical,
+    measures_shapes: bool,
+    has_surfaces: bool,
+    /// What is known of the records so far.
+    pub(super) settled: Settled,
+}
+
+impl Settling {
+    pub(super) fn new(survey: &Survey, measured: &Measured) -> Self {
+        Self {
+            typical: measured.typical(survey),
+            measures_shapes: survey.measures_shapes,
+            has_surfaces: measured.has_surfaces(),
+            settled: Settled::NONE,
+        }
+    }
+
+    /// What is known of all records if they keep what was measured.
+    fn as_measured(&self, measured: &Measured) -> Option<Settled> {
+        let radius_range = measured.unchanged(&self.typical).filter(|_| !self.measures_shapes)?;
+        Some(Settled { radius_range, has_shapes: false })
+    }
+
+    /// Settles a record, behind whose position stand what was measured of it; returns whether it
+    /// changes.
+    pub(super) fn settle(&mut self, record: &mut [u8]) -> bool {
+        let measured = record::radius(record);
+        let (mut radius, mut shape) = (self.typical.settled(measured), StoredShape::BALL);
+        if self.measures_shapes {
+            let measured_shape = record::shape(record, HEAD);
+            if self.has_surfaces {
+                (radius, shape) = self.typical.settled_with_shape(measured, measured_shape);
+            }
+            record[HEAD..HEAD + SHAPE_BYTES].copy_from_slice(&shape.to_bytes());
+        }
+        record[POSITION..HEAD].copy_from_slice(&radius.to_le_bytes());
+        let range = &mut self.settled.radius_range;
+        *range = (range.0.min(radius), range.1.max(radius));
+        self.settled.has_shapes |= shape != StoredShape::BALL;
+        self.measures_shapes || radius != measured
+    }
 }

@@ -30,6 +30,8 @@ pub(super) struct Form {
     pub(super) radius: Option<f32>,
     /// Scale factor for radii that are still to be measured.
     pub(super) auto_scale: f64,
+    /// Whether shapes are still to be measured, with the radii.
+    pub(super) measures_shapes: bool,
     pub(super) weight: f32,
     /// Everything besides the records on which pages depend.
     pub(super) pages_depend_on: String,
@@ -49,6 +51,7 @@ impl Form {
             attributes: columns.infos.clone(),
             radius: if let Rule::Number(r) = radius { Some((r * options.radius_scale) as f32) } else { None },
             auto_scale: options.radius_scale,
+            measures_shapes: columns.measures_shapes,
             weight: if let Rule::Number(w) = weight { (w * options.weight_scale) as f32 } else { 1.0 },
             pages_depend_on: pages_depend_on(options, &radius, &weight, &columns),
             metadata: describe(sources, options.length_scale),
@@ -61,11 +64,18 @@ impl Form {
 /// identity.
 const AUTO_RADII: &str = ", 0.85 of the eighth neighbour";
 
+/// The same of automatic shapes.
+const AUTO_SHAPES: &str = ", shapes by sixteen";
+
 /// Everything besides the records on which pages depend, so that files that differ in it have
 /// different identities.
 fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns: &Columns) -> String {
     let definition = if *radius == Rule::Auto { AUTO_RADII } else { "" };
-    let shapes = if columns.layout.has_shape { " shapes" } else { "" };
+    let shapes = match (columns.layout.has_shape, columns.measures_shapes) {
+        (true, _) => " shapes",
+        (false, true) => AUTO_SHAPES,
+        (false, false) => "",
+    };
     format!(
         "radius {radius:?}{definition} {:?} weight {weight:?} {:?} precision {:?} page {:?} color {} columns {:?}{shapes}",
         options.radius_scale,
@@ -229,6 +239,19 @@ pub(super) struct Merged {
     pub(super) weight_range: (f32, f32),
 }
 
+/// What is known of radii and shapes once they are measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Settled {
+    pub(super) radius_range: (f32, f32),
+    /// Whether a point is no ball.
+    pub(super) has_shapes: bool,
+}
+
+impl Settled {
+    /// That of no records.
+    pub(super) const NONE: Self = Self { radius_range: NO_RANGE, has_shapes: false };
+}
+
 /// What is known of all records.
 #[derive(Clone, Debug)]
 pub(super) struct Survey {
@@ -247,6 +270,8 @@ pub(super) struct Survey {
     pub(super) radius_range: (f32, f32),
     /// Scale factor for radii that are still to be measured.
     pub(super) auto_scale: f64,
+    /// Whether shapes are still to be measured, with the radii.
+    pub(super) measures_shapes: bool,
     pub(super) weight: f32,
     pub(super) weight_range: (f32, f32),
     /// Whether shapes are stored: of balls alone they are not.
@@ -270,6 +295,7 @@ impl Survey {
             radius: form.radius,
             radius_range,
             auto_scale: form.auto_scale,
+            measures_shapes: form.measures_shapes,
             weight: form.weight,
             weight_range: totals.weight_range,
             has_shapes: totals.shapes > 0,
@@ -287,9 +313,11 @@ impl Survey {
         }
     }
 
-    /// The same once every record has a radius, within `range`.
-    pub(super) fn with_measured_radii(self, range: (f32, f32)) -> Self {
-        Self { layout: self.layout.with_radius(), radius: None, radius_range: range, ..self }
+    /// The same once every record has what is measured of it.
+    pub(super) fn with_measures(self, settled: Settled) -> Self {
+        let layout = self.layout.with_measures(self.measures_shapes);
+        let has_shapes = self.has_shapes || settled.has_shapes;
+        Self { layout, radius: None, radius_range: settled.radius_range, has_shapes, ..self }
     }
 
     /// The same once copies have been merged, and every point has a weight.
@@ -314,10 +342,14 @@ impl Survey {
         self.measures_radii() || self.may_have_copies
     }
 
-    /// The layout of records that have radii, where these are not one for all.
+    /// The layout of records that have what is measured of them, if anything is.
     #[cfg(feature = "parts")]
-    pub(super) fn layout_with_radii(&self) -> RecordLayout {
-        if self.measures_radii() { self.layout.with_radius() } else { self.layout.clone() }
+    pub(super) fn measured_layout(&self) -> RecordLayout {
+        if self.measures_radii() {
+            self.layout.with_measures(self.measures_shapes)
+        } else {
+            self.layout.clone()
+        }
     }
 
     /// The keys by which records are sorted along the curve. Owner cells do not matter yet: with a

@@ -1,13 +1,18 @@
 //! Which radii are usual in a cloud, from counts of the radii that were measured.
 
+use super::curve::OfPlace;
 use super::error::{BuildError, Quantity};
+use super::neighbourhood;
 use super::survey::{LIMIT, Survey};
+use crate::octree::shape::StoredShape;
 
 /// Counts of the radii of places: 128 for each power of two.
 pub(super) struct Measured {
     counts: Vec<u64>,
     known: u64,
     unknown: u64,
+    /// Those of them that are of a surface or a wire.
+    flat: u64,
     least: f64,
     most: f64,
 }
@@ -18,13 +23,15 @@ const LEFT_OUT: u32 = 16;
 impl Default for Measured {
     fn default() -> Self {
         let counts = vec![0; 1 << (31 - LEFT_OUT)];
-        Self { counts, known: 0, unknown: 0, least: f64::INFINITY, most: 0.0 }
+        Self { counts, known: 0, unknown: 0, flat: 0, least: f64::INFINITY, most: 0.0 }
     }
 }
 
 impl Measured {
-    /// Counts the radius of some places before it is stored; 0 where none is known.
-    pub(super) fn count(&mut self, radius: f64, places: u64) {
+    /// Counts some places, before what was measured of them is stored.
+    pub(super) fn count(&mut self, place: &OfPlace, places: u64) {
+        let OfPlace { radius, suggested } = *place;
+        self.flat += if suggested.is_flat { places } else { 0 };
         if radius > 0.0 {
             self.known += places;
             (self.least, self.most) = (self.least.min(radius), self.most.max(radius));
@@ -46,6 +53,12 @@ impl Measured {
             }
         }
         Ok(())
+    }
+
+    /// Whether the points lie on surfaces, so far as shapes were asked for: else none has a shape,
+    /// for in a cloud that fills space all are scattered.
+    pub(super) fn has_surfaces(&self) -> bool {
+        self.flat > 0 && self.flat as f64 >= LEAST_FLAT * (self.known + self.unknown) as f64
     }
 
     /// The radius than which a part of all radii is smaller, rounded down to the beginning of its
@@ -76,6 +89,7 @@ impl Measured {
     pub(super) fn merge(&mut self, other: &Self) {
         self.known += other.known;
         self.unknown += other.unknown;
+        self.flat += other.flat;
         (self.least, self.most) = (self.least.min(other.least), self.most.max(other.most));
         self.counts.iter_mut().zip(&other.counts).for_each(|(count, more)| *count += more);
     }
@@ -83,7 +97,7 @@ impl Measured {
     /// All of it, as numbers.
     #[cfg(feature = "parts")]
     pub(super) fn to_words(&self) -> Vec<u64> {
-        let mut words = vec![self.known, self.unknown, self.least.to_bits(), self.most.to_bits()];
+        let mut words = vec![self.known, self.unknown, self.flat, self.least.to_bits(), self.most.to_bits()];
         words.extend_from_slice(&self.counts);
         words
     }
@@ -91,10 +105,17 @@ impl Measured {
     /// From the numbers of [`to_words`](Self::to_words); `None` if there are not as many.
     #[cfg(feature = "parts")]
     pub(super) fn from_words(words: &[u64]) -> Option<Self> {
-        let (&[known, unknown, least, most], counts) = words.split_first_chunk()?;
+        let (&[known, unknown, flat, least, most], counts) = words.split_first_chunk()?;
         let counts = counts.to_vec();
         let (least, most) = (f64::from_bits(least), f64::from_bits(most));
-        (counts.len() == Self::default().counts.len()).then_some(Self { counts, known, unknown, least, most })
+        (counts.len() == Self::default().counts.len()).then_some(Self {
+            counts,
+            known,
+            unknown,
+            flat,
+            least,
+            most,
+        })
     }
 
     /// `None` if no radius is known.
@@ -115,6 +136,10 @@ impl Measured {
     }
 }
 
+/// Where fewer places are flat, a cloud has no surfaces: of points at random in space, three in a
+/// hundred are.
+const LEAST_FLAT: f64 = 0.1;
+
 /// The limit is at least this multiple of the median: clouds that are sampled evenly have sparse
 /// edges, too.
 const LEAST_LIMIT: f64 = 3.0;
@@ -133,6 +158,16 @@ impl Typical {
     /// The radius of a record of which this was measured: 0 if none is known.
     pub(super) fn settled(&self, measured: f32) -> f32 {
         if measured <= 0.0 || measured > self.limit { self.radius } else { measured }
+    }
+
+    /// The radius and the shape of a record of which these were measured. Stray points are balls.
+    pub(super) fn settled_with_shape(&self, measured: f32, shape: StoredShape) -> (f32, StoredShape) {
+        let radius = self.settled(measured);
+        if radius != measured {
+            return (radius, StoredShape::BALL);
+        }
+        let radius = f64::from(radius) * neighbourhood::radius_of(shape);
+        (radius.clamp(1.0 / LIMIT, LIMIT) as f32, shape)
     }
 
     fn alone(radius: f64) -> Self {

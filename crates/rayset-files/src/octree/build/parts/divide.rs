@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::super::error::BuildError;
 use super::super::partition::capacity;
 use super::super::plan::{Cell, LEAF_POINTS, Plan, Pyramid};
+use super::super::survey::Settled;
 use super::exchange::Part;
 use super::job::Job;
 use super::step::BuildStep;
@@ -36,29 +37,32 @@ pub(super) fn pyramid(job: &Job<'_>) -> Pyramid {
 pub(super) struct Counted {
     pub(super) count: u64,
     pub(super) sum: u64,
-    pub(super) radius_range: (f32, f32),
+    /// Radii and shapes, if they were settled in this step.
+    pub(super) settled: Settled,
     pub(super) weight_range: (f32, f32),
 }
 
 /// Numbers of a [`Counted`] before the counters.
-const FRONT: usize = 6;
+const FRONT: usize = 7;
 
 impl Counted {
     /// The payload of a part that has counted.
     pub(super) fn encode(&self, pyramid: &Pyramid) -> Vec<u8> {
-        let (radius, weight) = (self.radius_range, self.weight_range);
+        let (radius, weight) = (self.settled.radius_range, self.weight_range);
         let ranges = [radius.0, radius.1, weight.0, weight.1].map(|v| v.to_bits().into());
+        let shapes = u64::from(self.settled.has_shapes);
         let counters = pyramid.counters().map(|counter| counter.load(Ordering::Relaxed));
-        encode([self.count, self.sum].into_iter().chain(ranges).chain(counters))
+        encode([self.count, self.sum, shapes].into_iter().chain(ranges).chain(counters))
     }
 
     pub(super) fn of(part: &Part) -> Result<Self, BuildError> {
         let numbers = numbers(part, None)?;
-        let Some((&[count, sum, ref ranges @ ..], _)) = numbers.split_first_chunk::<FRONT>() else {
+        let Some((&[count, sum, shapes, ref ranges @ ..], _)) = numbers.split_first_chunk::<FRONT>() else {
             return Err(part.wrong("it has no counts"));
         };
         let [a, b, c, d] = [0, 1, 2, 3].map(|i| f32::from_bits(ranges[i] as u32));
-        Ok(Self { count, sum, radius_range: (a, b), weight_range: (c, d) })
+        let settled = Settled { radius_range: (a, b), has_shapes: shapes != 0 };
+        Ok(Self { count, sum, settled, weight_range: (c, d) })
     }
 }
 

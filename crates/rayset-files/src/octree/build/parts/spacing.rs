@@ -7,14 +7,15 @@ use std::io::{BufReader, BufWriter, Read, Write};
 use super::super::context::Context;
 use super::super::control::Stage;
 use super::super::copies::{self, Merger};
-use super::super::curve::{Boxes, Crowd, Curve, GRAIN, Sketch, most_boxes};
+use super::super::curve::{Boxes, Crowd, Curve, GRAIN, OfPlace, Sketch, most_boxes};
 use super::super::error::BuildError;
+use super::super::neighbours::{FOR_DISTANCE, FOR_SHAPE};
 use super::super::pieces::{Assemble, Copy};
 use super::super::plan::Cell;
-use super::super::record::{self, RecordLayout};
-use super::super::spacing::stored;
-use super::super::survey::{Merged, NO_RANGE, Survey};
-use super::super::typical::{Measured, Typical};
+use super::super::record::{RecordLayout, SHAPE_BYTES};
+use super::super::spacing::{Settling, stored};
+use super::super::survey::{Merged, NO_RANGE, Settled, Survey};
+use super::super::typical::Measured;
 use super::divide::{self, Counted};
 use super::exchange::{DataFile, Part};
 use super::job::Job;
@@ -203,19 +204,41 @@ pub(super) fn measure(job: &Job<'_>) -> Result<(), BuildError> {
     let range = first..first + counts[own];
     let mut output = BufWriter::with_capacity(BUFFER_BYTES, data.writer_at(0)?);
     let (scale, nowhere) = (survey.auto_scale, |_: &_, _: &_| Ok(()));
-    let mut checksum = 0;
-    let measured = curve.measure(&context, scale, &range, nowhere, |radii| {
-        let bytes: Vec<u8> = radii.iter().flat_map(|&radius| stored(radius).to_le_bytes()).collect();
+    let (mut checksum, mut bytes) = (0, Vec::new());
+    let pass = |places: &[OfPlace]| {
+        bytes.clear();
+        places.iter().for_each(|place| put_measures(survey, place, &mut bytes));
         checksum = crc32c::crc32c_append(checksum, &bytes);
         output.write_all(&bytes).map_err(|e| data.failed(e))
-    })?;
+    };
+    let measured = if survey.measures_shapes {
+        curve.measure::<FOR_SHAPE>(&context, scale, &range, nowhere, pass)?
+    } else {
+        curve.measure::<FOR_DISTANCE>(&context, scale, &range, nowhere, pass)?
+    };
     output.flush().map_err(|e| data.failed(e))?;
     drop(output);
     let payload = divide::encode(std::iter::once(u64::from(checksum)).chain(measured.to_words()));
-    job.publish(Some((data, 4 * counts[own])), &payload)?;
+    job.publish(Some((data, measures_bytes(survey) as u64 * counts[own])), &payload)?;
     // All parts have sorted what was scattered to them.
     job.exchange.remove_data(BuildStep::SpacingScatter, job.part);
     Ok(())
+}
+
+/// Bytes of what is measured of a record: its radius, and its shape if that is, too.
+fn measures_bytes(survey: &Survey) -> usize {
+    match (survey.measures_radii(), survey.measures_shapes) {
+        (false, _) => 0,
+        (true, false) => 4,
+        (true, true) => 4 + SHAPE_BYTES,
+    }
+}
+
+fn put_measures(survey: &Survey, place: &OfPlace, to: &mut Vec<u8>) {
+    to.extend_from_slice(&stored(place.radius).to_le_bytes());
+    if survey.measures_shapes {
+        to.extend_from_slice(&place.suggested.shape.to_bytes());
+    }
 }
 
 /// The checksum of the radii that a part has measured, and their counts.
@@ -227,8 +250,8 @@ fn radii(part: &Part) -> Result<(u32, Measured), BuildError> {
     radii.ok_or_else(|| part.wrong("its counts of radii make no sense; run that step again"))
 }
 
-/// What is usual among all radii.
-fn typical(job: &Job<'_>) -> Result<Typical, BuildError> {
+/// How records are settled, by what all parts have measured.
+fn settling(job: &Job<'_>) -> Result<Settling, BuildError> {
     let mut all = Measured::default();
     job.all(BuildStep::SpacingMeasure, |part| {
         let (_, measured) = radii(&part)?;
@@ -236,7 +259,7 @@ fn typical(job: &Job<'_>) -> Result<Typical, BuildError> {
         Ok(())
     })?;
     all.check_range(job.options.length_scale, &job.overview.survey)?;
-    Ok(all.typical(&job.overview.survey))
+    Ok(Settling::new(&job.overview.survey, &all))
 }
 
 /// Whether copies are merged: all parts decide alike.
@@ -251,21 +274,21 @@ fn merges(job: &Job<'_>) -> Result<bool, BuildError> {
 
 /// The layout of records with radii, and without copies.
 pub(super) fn settled_layout(job: &Job<'_>) -> Result<RecordLayout, BuildError> {
-    let layout = job.overview.survey.layout_with_radii();
+    let layout = job.overview.survey.measured_layout();
     Ok(if merges(job)? { layout.with_weight() } else { layout })
 }
 
 /// Writes the records of a part's stretch with their radii, copies merged if they are many, and
 /// counts them by octree cells.
 pub(super) fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> {
-    let typical = if job.overview.survey.measures_radii() { Some(typical(job)?) } else { None };
+    let mut settling = if job.overview.survey.measures_radii() { Some(settling(job)?) } else { None };
     let merges = merges(job)?;
     let data = job.create_data()?;
     let destination = data.destination.clone();
     let context = job.context(&destination);
     let survey = &job.overview.survey;
-    let mut counted = Counted { count: 0, sum: 0, radius_range: NO_RANGE, weight_range: NO_RANGE };
-    let mut merger = Merger::new(&survey.layout_with_radii(), survey.weight);
+    let mut counted = Counted { count: 0, sum: 0, settled: Settled::NONE, weight_range: NO_RANGE };
+    let mut merger = Merger::new(&survey.measured_layout(), survey.weight);
     let mut output = BufWriter::with_capacity(BUFFER_BYTES, data.writer_at(0)?);
     let pyramid = divide::pyramid(job);
     let mut whole = Vec::with_capacity(sorting.stride);
@@ -275,20 +298,21 @@ pub(super) fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> 
         pyramid.count(&sorting.keys, record);
         output.write_all(record).map_err(|e| data.failed(e))
     };
-    let mut radius_range = NO_RANGE;
-    settle(job, &context, |record, measured| {
+    settle(job, &context, |record, measures| {
         whole.clear();
         whole.extend_from_slice(&record[..POSITION]);
-        if let (Some(typical), Some(measured)) = (&typical, measured) {
-            let radius = typical.settled(measured);
-            radius_range = (radius_range.0.min(radius), radius_range.1.max(radius));
-            whole.extend_from_slice(&radius.to_le_bytes());
-        }
+        whole.extend_from_slice(measures);
         whole.extend_from_slice(&record[POSITION..]);
+        if let Some(settling) = &mut settling {
+            settling.settle(&mut whole);
+        }
         if merges { merger.follow(&whole, &mut write) } else { write(&whole) }
     })?;
     merger.end(&mut write)?;
-    (counted.radius_range, counted.weight_range) = (radius_range, merger.merged.weight_range);
+    counted.weight_range = merger.merged.weight_range;
+    if let Some(settling) = settling {
+        counted.settled = settling.settled;
+    }
     output.flush().map_err(|e| data.failed(e))?;
     drop(output);
     let bytes = counted.count * sorting.stride as u64;
@@ -299,18 +323,17 @@ pub(super) fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> 
     Ok(())
 }
 
-/// Passes the sorted records of a part's stretch to `visit`, each with its radius if that was
-/// measured.
+/// Passes the sorted records of a part's stretch to `visit`, each with what was measured of it.
 fn settle(
     job: &Job<'_>,
     context: &Context<'_>,
-    mut visit: impl FnMut(&[u8], Option<f32>) -> Result<(), BuildError>,
+    mut visit: impl FnMut(&[u8], &[u8]) -> Result<(), BuildError>,
 ) -> Result<(), BuildError> {
     let (sorted, measured) = (job.own(BuildStep::SpacingSort)?, job.own(BuildStep::SpacingMeasure)?);
     let Stretch { count, sum, .. } = Stretch::of(&sorted)?;
     let stride = job.overview.survey.layout.stride();
-    let radius_bytes = if job.overview.survey.measures_radii() { 4 } else { 0 };
-    let expected = (radius_bytes > 0).then_some(4 * count);
+    let measures_bytes = measures_bytes(&job.overview.survey);
+    let expected = (measures_bytes > 0).then_some(measures_bytes as u64 * count);
     if sorted.head.data_bytes != Some(count * stride as u64) || measured.head.data_bytes != expected {
         return Err(
             measured.wrong("it has not the radii of the records that were sorted; run that step again")
@@ -326,23 +349,22 @@ fn settle(
         let path = part.path.with_extension("data");
         move |source| BuildError::Io { action: "read", path: path.clone(), source }
     };
-    let (mut some, mut their_radii) = (Vec::new(), Vec::new());
+    let (mut some, mut their_measures) = (Vec::new(), Vec::new());
     let (mut found_sum, mut found_checksum) = (0_u64, 0);
     for first in (0..count).step_by(CHUNK_RECORDS) {
         context.check()?;
         context.progress(Stage::Write, first, count);
         let length = (count - first).min(CHUNK_RECORDS as u64) as usize;
         some.resize(length * stride, 0);
-        their_radii.resize(length * radius_bytes, 0);
+        their_measures.resize(length * measures_bytes, 0);
         records.read_exact(&mut some).map_err(failed(&sorted))?;
         if let Some(radii) = &mut radii {
-            radii.read_exact(&mut their_radii).map_err(failed(&measured))?;
+            radii.read_exact(&mut their_measures).map_err(failed(&measured))?;
         }
-        found_checksum = crc32c::crc32c_append(found_checksum, &their_radii);
+        found_checksum = crc32c::crc32c_append(found_checksum, &their_measures);
         for (i, record) in some.chunks_exact(stride).enumerate() {
             found_sum = found_sum.wrapping_add(record_hash(record));
-            let radius = (radius_bytes > 0).then(|| record::float(&their_radii, 4 * i));
-            visit(record, radius)?;
+            visit(record, &their_measures[measures_bytes * i..measures_bytes * (i + 1)])?;
         }
     }
     let is_whole = expected.is_none() || found_checksum == self::radii(&measured)?.0;
@@ -363,17 +385,19 @@ pub(super) fn settled_records(job: &Job<'_>, stride: usize) -> Result<Records, B
 
 /// What is known of all records when they have radii and copies are merged.
 pub(super) fn settled_survey(job: &Job<'_>) -> Result<Survey, BuildError> {
-    let (mut radii, mut merged) = (NO_RANGE, Merged { points: 0, weight_range: NO_RANGE });
+    let mut settled = Settled::NONE;
+    let mut merged = Merged { points: 0, weight_range: NO_RANGE };
     let join = |a: (f32, f32), b: (f32, f32)| (a.0.min(b.0), a.1.max(b.1));
     job.all(BuildStep::Count, |part| {
         let counted = Counted::of(&part)?;
-        radii = join(radii, counted.radius_range);
+        settled.radius_range = join(settled.radius_range, counted.settled.radius_range);
+        settled.has_shapes |= counted.settled.has_shapes;
         merged.weight_range = join(merged.weight_range, counted.weight_range);
         merged.points = merged.points.saturating_add(counted.count);
         Ok(())
     })?;
     let survey = job.overview.survey.clone();
-    let survey = if survey.measures_radii() { survey.with_measured_radii(radii) } else { survey };
+    let survey = if survey.measures_radii() { survey.with_measures(settled) } else { survey };
     Ok(if merges(job)? { survey.with_merged_copies(merged) } else { survey })
 }
 

@@ -11,7 +11,7 @@ use super::super::partition::{Partition, firsts};
 use super::super::pieces::{Assemble, Pack};
 use super::super::record::KeyMaker;
 use super::super::region::Region;
-use super::super::survey::NO_RANGE;
+use super::super::survey::{NO_RANGE, Settled};
 use super::divide::{self, Counted, Division};
 use super::exchange::{DataFile, Part};
 use super::job::Job;
@@ -73,7 +73,7 @@ pub(super) fn count(
     let pyramid = divide::pyramid(job);
     sorting.partition(context, records.count).count(Region::all(&records.spill, records.count), &pyramid)?;
     let (count, sum) = (records.count, records.sum);
-    Ok(Counted { count, sum, radius_range: NO_RANGE, weight_range: NO_RANGE }.encode(&pyramid))
+    Ok(Counted { count, sum, settled: Settled::NONE, weight_range: NO_RANGE }.encode(&pyramid))
 }
 
 /// Writes the records of a part, bucket by bucket, to `data`; returns its payload, the count and
