@@ -136,8 +136,8 @@ pub struct Header {
     pub position_error_radii: f64,
     /// Whether points have colours.
     pub has_color: bool,
-    /// The least and the largest of the points' shortest semi-axes, world space, if each stores a
-    /// shape; `None` if all points are balls. See [`details`](Self::details).
+    /// The least and the largest of the points' details, world space, if each stores a shape; `None`
+    /// if all points are balls. See [`details`](Self::details).
     pub shape: Option<(f32, f32)>,
     /// Attribute columns.
     pub attributes: Vec<AttributeInfo>,
@@ -240,8 +240,8 @@ impl Header {
         self.point_pages + self.node_pages
     }
 
-    /// The least and the largest detail of the points: the shortest semi-axis, of balls the radius;
-    /// world space.
+    /// The least and the largest detail of the points: of balls the radius, of ellipsoids twice the
+    /// shortest semi-axis if that is less; world space.
     #[must_use]
     pub fn details(&self) -> (f32, f32) {
         self.shape.unwrap_or((self.radius.min(), self.radius.max()))

@@ -33,8 +33,8 @@ pub struct Node {
     /// Their mean position, weighted by the absolute values of their weights, in units of the root
     /// cell.
     pub centroid: [f32; 3],
-    /// Smallest detail of a point at and below the node: of balls the radius, of ellipsoids the
-    /// shortest semi-axis.
+    /// Smallest detail of a point at and below the node: of balls the radius, of ellipsoids twice
+    /// the shortest semi-axis if that is less.
     pub detail_min: f32,
     /// A bound on the details, at most 1/128 above the largest of ellipsoids; of balls the largest
     /// radius.

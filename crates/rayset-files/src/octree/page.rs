@@ -431,7 +431,7 @@ impl<'a> Run<'a> {
         true
     }
 
-    /// The details of the points, the shortest semi-axes, if the header says that they are no balls.
+    /// The details of the points, if the header says that they are no balls.
     #[inline]
     pub fn details(&self, header: &Header) -> Option<impl Iterator<Item = f32> + use<'a>> {
         let shapes = self.shapes(header)?;

@@ -91,12 +91,15 @@ impl StoredShape {
         f32::from_bits(LEAST_BITS + ((u32::from(code) + 1) << LEFT_OUT))
     }
 
-    /// The detail of a point of this radius: its shortest semi-axis. Of a ball, the radius.
+    /// The detail of a point of this radius, of which steps are a part: twice the shortest
+    /// semi-axis, but no more than the radius. Twice, because most rays cross what is flat obliquely
+    /// or end in it: so pictures of discs err less than those of balls do at their radius
+    /// (docs/benchmarks.md, "Automatic radii and shapes").
     #[must_use]
     #[inline]
     pub fn detail(self, radius: f32) -> f32 {
         let [_, _, _, a2, a3] = self.0;
-        radius * Self::ratio(a3.min(a2))
+        radius * (2.0 * Self::ratio(a3.min(a2))).min(1.0)
     }
 
     /// Half the edges of the smallest box around a point of this radius.

@@ -142,7 +142,7 @@ fn check_header(header: &Header, root: &RunFacts, nodes: u64) -> Result<(), &'st
         return Err("its smallest or largest radius is wrong");
     }
     if (root.detail_min, root.detail_max) != header.details() {
-        return Err("its smallest or largest shortest semi-axis is wrong");
+        return Err("its smallest or largest detail is wrong");
     }
     if root.weight_min != header.weight.min() || root.weight_max != header.weight.max() {
         return Err("its smallest or largest weight is wrong");
@@ -299,7 +299,7 @@ impl Facts<'_> {
         }
         let is_bound = facts.detail_max <= node.detail_max && node.detail_max <= 1.01 * facts.detail_max;
         if facts.detail_min != node.detail_min || !is_bound {
-            return Err(wrong("its smallest or largest shortest semi-axis is wrong"));
+            return Err(wrong("its smallest or largest detail is wrong"));
         }
         if !((facts.weight_sum - node.weight_sum).abs() <= 1e-9 * facts.weight_size) {
             return Err(wrong("its sum of weights is wrong"));

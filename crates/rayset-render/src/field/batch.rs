@@ -2,7 +2,7 @@
 
 use fearless_simd::prelude::*;
 
-use super::columns::{MAP_BYTES, PointColumns};
+use super::columns::PointColumns;
 use super::kept_runs::{KeptRuns, RunKey};
 use super::lane_ray::Frames;
 use super::packet::{Packet, Slab};
@@ -18,7 +18,7 @@ pub(super) const MOST_RUNS: usize = 8;
 
 /// The most bytes that a batch takes, of points with up to eight attributes, besides the runs that
 /// it keeps. One run more is there while it is found out whether it is part of the last.
-pub const BATCH_BYTES: u64 = ((MOST_RUNS + 1) * (size_of::<BatchedRun>() + DECODED_BYTES + MAP_BYTES)) as u64;
+pub const BATCH_BYTES: u64 = ((MOST_RUNS + 1) * (size_of::<BatchedRun>() + DECODED_BYTES)) as u64;
 
 /// Up to 8 runs, in the order of the file. Their memory is kept from batch to batch; if there is
 /// [room](Self::set_room), runs are, too.
@@ -48,9 +48,9 @@ pub(super) struct BatchedRun {
     pub(super) run: Box<DecodedRun>,
     key: Option<RunKey>,
     pub(super) frames: Frames,
-    /// The points near one group of rays at a time.
+    /// The points near one group of rays at a time, if they are balls.
     pub(super) near: PointColumns,
-    /// The chunks of these.
+    /// The chunks of these; of ellipsoids those of the run with points near the group.
     pub(super) near_chunks: u64,
     /// Of one ray at a time.
     pub(super) pairs: Pairs,

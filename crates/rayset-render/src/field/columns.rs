@@ -46,7 +46,7 @@ impl Default for PointColumns {
 }
 
 impl PointColumns {
-    /// Becomes those of a run's points whose bits are set. Returns a bit for each chunk that they
+    /// Becomes those of a run's points whose bits are set, which are balls. Returns a bit for each chunk that they
     /// take.
     #[inline(always)]
     pub(super) fn select(&mut self, run: &Self, points: [u64; 2]) -> u64 {
@@ -68,21 +68,7 @@ impl PointColumns {
             }
         }
         let chunks = len.div_ceil(CHUNK_POINTS);
-        self.select_map(run, len);
         self.inverse_radius_squared[len..CHUNK_POINTS * chunks].fill(f32::INFINITY);
         (1 << chunks) - 1
-    }
-
-    /// Takes the maps of the first `len` of the points, whose numbers are known.
-    #[inline(always)]
-    fn select_map(&mut self, run: &Self, len: usize) {
-        self.map.resize(run.map.len(), [0.0; RUN_POINTS]);
-        let filled = len.next_multiple_of(CHUNK_POINTS);
-        for (to, from) in self.map.iter_mut().zip(&run.map) {
-            for (to, &number) in to[..len].iter_mut().zip(&self.number) {
-                *to = from[usize::from(number) & (RUN_POINTS - 1)];
-            }
-            to[len..filled].fill(f32::INFINITY);
-        }
     }
 }

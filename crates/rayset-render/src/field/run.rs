@@ -21,9 +21,9 @@ const WIDEST_IN_F32: f64 = 128.0;
 /// Most samples across a run that can be counted exactly in single precision.
 const MOST_STEPS_IN_F32: f64 = (1 << 22) as f64;
 
-/// Points may be so much thinner than the radius that is too small for single precision: errors are
+/// Details may be so much finer than the radius that is too small for single precision: errors are
 /// then a few 1e-4 of the shortest semi-axis.
-const THINNEST_IN_F32: f64 = 8.0;
+const FINEST_IN_F32: f64 = 4.0;
 
 /// Most columns of attributes of a run that is kept.
 const MOST_COLUMNS: usize = 8;
@@ -271,7 +271,7 @@ pub(super) fn normalised_weight(weight: f32, factor: f64, inverse_radius: f32, v
 /// The length of which a run's coordinates must be known to a small part: its least radius, or less
 /// where points are very thin.
 fn least_length(radius: f64, detail: f64) -> f64 {
-    radius.min(THINNEST_IN_F32 * detail)
+    radius.min(FINEST_IN_F32 * detail)
 }
 
 /// Whether points within bounds of a longest edge need double precision, with their largest and

@@ -39,16 +39,15 @@ impl RunDecoder {
                 *w = normalised_weight(*w, factor, *inverse, *volume);
             }
         }
-        let details =
-            points.radius[..n].iter().zip(&ratios.shortest).map(|(radius, shortest)| radius * shortest);
+        let details = points.radius[..n].iter().zip(&ratios.detail).map(|(radius, detail)| radius * detail);
         f64::from(details.fold(f32::INFINITY, f32::min))
     }
 }
 
 /// What is known of the shapes of a run besides their maps.
 struct Ratios {
-    /// The shortest semi-axis of each point as a part of its radius.
-    shortest: [f32; RUN_POINTS],
+    /// The detail of each point as a part of its radius.
+    detail: [f32; RUN_POINTS],
     /// The volume of each point as a part of that of its ball.
     volume: [f32; RUN_POINTS],
 }
@@ -64,7 +63,7 @@ fn decode(
     map: &mut Vec<[f32; RUN_POINTS]>,
 ) -> Ratios {
     map.resize(MAP_COLUMNS, [0.0; RUN_POINTS]);
-    let mut ratios = Ratios { shortest: [1.0; RUN_POINTS], volume: [1.0; RUN_POINTS] };
+    let mut ratios = Ratios { detail: [1.0; RUN_POINTS], volume: [1.0; RUN_POINTS] };
     let Some(map): Option<&mut [[f32; RUN_POINTS]; MAP_COLUMNS]> = map.first_chunk_mut() else {
         return ratios;
     };
@@ -76,7 +75,7 @@ fn decode(
                 map[3 * row + j][i] = axis[j] * scale;
             }
         }
-        ratios.shortest[i] = a3;
+        ratios.detail[i] = (2.0 * a3).min(1.0);
         ratios.volume[i] = a2 * a3;
     }
     map.iter_mut().for_each(|column| column[len..len.next_multiple_of(CHUNK_POINTS)].fill(f32::INFINITY));
@@ -140,8 +139,8 @@ mod tests {
                 prop_assert!(column[3..8].iter().all(|v| *v == f32::INFINITY));
             }
             let volume = f64::from(ratios.volume[2]) / shape.volume();
-            let shortest = f64::from(ratios.shortest[2]) / shape.ratios[1];
-            prop_assert!((volume - 1.0).abs() < 1e-6 && (shortest - 1.0).abs() < 1e-6);
+            prop_assert!((volume - 1.0).abs() < 1e-6);
+            prop_assert_eq!(radius * ratios.detail[2], StoredShape(words).detail(radius));
         }
     }
 }

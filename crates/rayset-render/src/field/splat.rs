@@ -167,8 +167,8 @@ struct Group {
 const LEAST_RAYS: u32 = 3;
 
 impl Group {
-    /// The chunks of points of a run, or of those of its points near the group, that are to be
-    /// tested against a ray of the group.
+    /// The chunks of points of a run, or of those of its points near the group if these are balls,
+    /// that are to be tested against a ray of the group.
     #[inline(always)]
     fn look_up<S: Simd>(
         &mut self,
@@ -202,10 +202,23 @@ fn points_near<S: Simd>(simd: S, item: &mut BatchedRun, packet: &Packet, first: 
         || {
             let line = GroupLine::new(simd, &item.run, packet, &item.frames, first)?;
             let near = line.points_near(simd, &item.run);
-            item.near_chunks = item.near.select(&item.run.points, near);
+            item.near_chunks = if item.run.points.map.is_empty() {
+                item.near.select(&item.run.points, near)
+            } else {
+                // To copy their maps would take longer than to test their neighbours, too.
+                chunks_of(near)
+            };
             Some(near)
         },
     )
+}
+
+/// The chunks of points of which some have their bits set.
+fn chunks_of(points: [u64; 2]) -> u64 {
+    let of_word = |word: u64| {
+        (0..8).fold(0, |chunks, chunk| chunks | u64::from(word >> (8 * chunk) & 0xff != 0) << chunk)
+    };
+    of_word(points[0]) | of_word(points[1]) << 8
 }
 
 /// The runs that may reach each block of a ray: a byte for each block, with a bit for each run.
@@ -261,11 +274,13 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
                 let chunks = group.look_up(simd, number, item, job.packet, &ray);
                 counts.pairs_tested += u64::from(chunks.count_ones());
                 let BatchedRun { run, near, pairs, .. } = item;
-                let points = if group.bounded >> number & 1 == 1 { near } else { &run.points };
+                let is_selected = !SHAPES && group.bounded >> number & 1 == 1;
+                let points = if is_selected { near } else { &run.points };
                 pairs.test::<S, GRADIENT, SHAPES>(simd, &ray, points, chunks, blocks, job.limits);
             }
             let BatchedRun { run, near, pairs, .. } = item;
-            let points = if group.bounded >> number & 1 == 1 { &*near } else { &run.points };
+            let is_selected = !SHAPES && group.bounded >> number & 1 == 1;
+            let points = if is_selected { &*near } else { &run.points };
             let hits = pairs.hits(block);
             if hits == [0, 0] {
                 continue;

@@ -23,12 +23,12 @@ const THIN: f64 = 0.25;
 const DISC_THICKNESS: f64 = 0.15;
 const ROD_WIDTH: f64 = 0.25;
 /// Half the thickness of what stands for a scattered point.
-const SCATTERED_THICKNESS: f64 = 0.8;
+const SCATTERED_THICKNESS: f64 = 0.6;
 
 /// Radii of discs and of scattered points, of a point that would have the radius 1 as a ball: they
-/// are 1.15 and 0.6 of the distance to the eighth neighbour.
+/// are 1.15 and 0.7 of the distance to the eighth neighbour.
 const DISC_RADIUS: f64 = 1.15 / 0.85;
-const SCATTERED_RADIUS: f64 = 0.6 / 0.85;
+const SCATTERED_RADIUS: f64 = 0.7 / 0.85;
 
 /// The shape that neighbours suggest.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -358,7 +358,8 @@ fn collect<'a>(node: &'a Node, world_from_parent: &DAffine3, leaves: &mut Vec<Le
 /// For each page of points its runs.
 type Runs = BTreeMap<u32, Vec<Vec<StepPoint>>>;
 
-/// A point of a cloud: its detail is its radius, of an ellipsoid the shortest semi-axis.
+/// A point of a cloud: its detail is its radius, of an ellipsoid twice the shortest semi-axis if
+/// that is less.
 #[derive(Clone, Copy)]
 struct StepPoint {
     position: DVec3,

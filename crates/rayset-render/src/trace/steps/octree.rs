@@ -1,6 +1,6 @@
 //! The details of a cloud: the nodes of its octree, groups of points, and points.
 //!
-//! The detail of a point is its radius, of ellipsoids the shortest semi-axis. A node whose points
+//! The detail of a point is its radius, of flat ellipsoids less (`StoredShape::detail`). A node whose points
 //! all ask for about the same steps, or that is hardly wider than a cell of the finest of them, is
 //! a detail of the least of theirs, within its bounds. Of others, groups of [`GROUP_POINTS`] points
 //! are, which follow each other in a run, each of its least detail, within the box around the
