@@ -33,6 +33,7 @@ def build(
     progress: Progress = False,
     invalid: str = "skip",
     precision: float | str | None = None,
+    shape: str = "auto",
     radius_scale: float = 1.0,
     length_scale: float = 1.0,
     temp_dir: _arguments.PathLike | None = None,
@@ -52,7 +53,8 @@ def build(
         Or *files* of points of any kind that the program reads: a path, a pattern, a folder, or a list of these.
         Arrays of ``float32`` and ``float64`` are read where they lie; do not change them meanwhile.
     radius
-        Radius of influence: a number, an array, or ``"auto"`` (the default): 0.85 times the distance of each point's eighth neighbour.
+        Radius of influence: a number, an array, or ``"auto"`` (the default): 0.85 times the distance of each point's eighth neighbour,
+        for a ball; see `shape`.
         Quantities (astropy, unyt) are converted to the unit of the positions. Of files, a number or the name of a column.
     weight
         A number or an array; 1 by default. Of files, a number or the name of a column.
@@ -73,6 +75,9 @@ def build(
     invalid
         ``"skip"``: points whose position, radius or weight is not a usable number are left out, with a warning; those too large to be
         stored are an error. ``"skip-all"`` leaves these out, too; ``"raise"`` makes an error of the first.
+    shape
+        ``"auto"``: where radii are measured, points are discs on surfaces, rods along wires and small balls where they are scattered; and
+        columns ``semi_axis_1`` to ``semi_axis_3`` and ``rotation_x`` to ``rotation_w`` make ellipsoids. ``"round"``: all points are balls.
     radius_scale, length_scale
         Factors of all radii; of all coordinates and radii.
     precision
@@ -91,6 +96,8 @@ def build(
     """
     if invalid not in ("skip", "skip-all", "raise"):
         raise ValueError(f"invalid={invalid!r}: expected \"skip\", \"skip-all\" or \"raise\"")
+    if shape not in ("auto", "round"):
+        raise ValueError(f"shape={shape!r}: expected \"auto\" or \"round\"")
     if isinstance(classes, str):
         raise TypeError(f"classes={classes!r}: expected a list of names, as in [{classes!r}]")
     is_of_files = _points.are_files(positions)
@@ -107,6 +114,7 @@ def build(
         "path": None if path is None else _arguments.file(path, "path"),
         "radius": rule,
         "weight": constant,
+        "shape": shape,
         "radius_scale": _arguments.number(radius_scale, "radius_scale", 1e-18),
         "length_scale": _arguments.number(length_scale, "length_scale", 1e-300, 1e300),
         "invalid": invalid,

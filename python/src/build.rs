@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use numpy::{PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use rayset::build::{self, BuildControl, BuildOptions, BuildReport, InvalidPolicy, Precision, Rule};
+use rayset::build::{
+    self, BuildControl, BuildOptions, BuildReport, InvalidPolicy, Precision, Rule, ShapeRule,
+};
 use rayset::points::PointSource;
 use rayset::{CancelToken, Cloud};
 
@@ -29,6 +31,9 @@ pub(crate) struct Options {
     weight: Option<RuleArgument>,
     #[pyo3(item)]
     radius_scale: f64,
+    /// `auto` or `round`.
+    #[pyo3(item)]
+    shape: String,
     #[pyo3(item)]
     length_scale: f64,
     #[pyo3(item)]
@@ -71,6 +76,7 @@ impl Options {
             .with_radius(self.radius.as_ref().map(RuleArgument::rule))
             .with_weight(self.weight.as_ref().map(RuleArgument::rule))
             .with_radius_scale(self.radius_scale)
+            .with_shape(if self.shape == "round" { ShapeRule::Round } else { ShapeRule::Auto })
             .with_length_scale(self.length_scale)
             .with_attributes(self.attributes.clone())
             .with_invalid(match self.invalid.as_str() {

@@ -2,7 +2,7 @@
 //! seen.
 
 use anyhow::Context;
-use rayset::build::BuildOptions;
+use rayset::build::{BuildOptions, ShapeRule};
 use rayset::points::ReadOptions;
 use rayset::volumes::RawLayout;
 
@@ -36,6 +36,10 @@ options! {
         /// Radius of influence: a number, a column, or `auto` (from the local spacing). By default
         /// the column `radius` where there is one, else auto
         radius: String = Text;
+        /// Shapes of points: `auto`, by which points whose radii are measured are discs on
+        /// surfaces, rods along wires and small balls where they are scattered; or `round`. By
+        /// default auto
+        shape: String = Checked(shape);
         /// Weight: a number or a column. By default the column `weight` where there is one, else 1
         weight: String = Text;
         /// Factor on every coordinate, and on radii of a column: for data in units that make them
@@ -46,6 +50,14 @@ options! {
         /// The input is nothing but voxels: 256x256x128,u16, then be, skip=512, spacing=1x1x2.5 as
         /// need be
         raw: String = Checked(raw_layout);
+    }
+}
+
+/// Checks the shapes of points.
+fn shape(text: &str) -> Result<(), String> {
+    match text {
+        "auto" | "round" => Ok(()),
+        _ => Err(format!("`{}` is no shape of points; expected `auto` or `round`", text.escape_debug())),
     }
 }
 
@@ -85,6 +97,9 @@ impl BuildChoices {
         }
         if let Some(weight) = &self.weight {
             options = options.with_weight(Some(values::rule(weight)?));
+        }
+        if self.shape.as_deref() == Some("round") {
+            options = options.with_shape(ShapeRule::Round);
         }
         Ok(options.with_length_scale(self.length_scale.unwrap_or(1.0)))
     }

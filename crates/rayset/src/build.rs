@@ -7,7 +7,7 @@
 pub use rayset_files::grid::build::{GridBuildError, GridBuildOptions, build as grid_to_file};
 pub use rayset_files::octree::build::{
     BuildControl, BuildError, BuildOptions, BuildReport, CloudBuilder, InvalidPolicy, Precision, Progress,
-    Quantity, Rule, Skipped, Stage,
+    Quantity, Rule, ShapeRule, Skipped, Stage,
 };
 #[cfg(feature = "parts")]
 pub use rayset_files::octree::build::{BuildParts, BuildStep};

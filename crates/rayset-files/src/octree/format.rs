@@ -136,8 +136,8 @@ pub struct Header {
     pub position_error_radii: f64,
     /// Whether points have colours.
     pub has_color: bool,
-    /// The least and the largest of the points' details, world space, if each stores a shape; `None`
-    /// if all points are balls. See [`details`](Self::details).
+    /// The least and the largest of the points' details, world space, if each stores a shape;
+    /// `None` if all points are balls. See [`details`](Self::details).
     pub shape: Option<(f32, f32)>,
     /// Attribute columns.
     pub attributes: Vec<AttributeInfo>,

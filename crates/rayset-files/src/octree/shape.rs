@@ -92,8 +92,8 @@ impl StoredShape {
     }
 
     /// The detail of a point of this radius, of which steps are a part: twice the shortest
-    /// semi-axis, but no more than the radius. Twice, because most rays cross what is flat obliquely
-    /// or end in it: so pictures of discs err less than those of balls do at their radius
+    /// semi-axis, but no more than the radius. Twice, because most rays cross what is flat
+    /// obliquely or end in it: so pictures of discs err less than those of balls do at their radius
     /// (docs/benchmarks.md, "Automatic radii and shapes").
     #[must_use]
     #[inline]

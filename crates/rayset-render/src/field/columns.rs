@@ -1,7 +1,6 @@
 //! Points by columns, as they are tested against rays: those of a run, or the ones among them that
 //! are near some rays.
 
-use super::shapes::MAP_COLUMNS;
 use rayset_files::octree::layout::RUN_POINTS;
 
 /// Points that are tested together.
@@ -27,6 +26,10 @@ pub(super) struct PointColumns {
     pub(super) map: Vec<[f32; RUN_POINTS]>,
 }
 
+/// Columns of the map that takes an ellipsoid to the unit ball: element j of row i is in column
+/// 3·i + j.
+pub(super) const MAP_COLUMNS: usize = 9;
+
 /// Most bytes of the map besides the columns themselves.
 pub(super) const MAP_BYTES: usize = MAP_COLUMNS * size_of::<[f32; RUN_POINTS]>();
 
@@ -46,8 +49,8 @@ impl Default for PointColumns {
 }
 
 impl PointColumns {
-    /// Becomes those of a run's points whose bits are set, which are balls. Returns a bit for each chunk that they
-    /// take.
+    /// Becomes those of a run's points whose bits are set, which are balls. Returns a bit for each
+    /// chunk that they take.
     #[inline(always)]
     pub(super) fn select(&mut self, run: &Self, points: [u64; 2]) -> u64 {
         let mut len = 0;

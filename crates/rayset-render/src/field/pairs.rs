@@ -3,10 +3,9 @@
 use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
-use super::columns::{CHUNK_POINTS, CHUNKS, PointColumns};
+use super::columns::{CHUNK_POINTS, CHUNKS, MAP_COLUMNS, PointColumns};
 use super::lane_ray::LaneRay;
 use super::packet::{BLOCK_SAMPLES, BLOCKS, BlockRange};
-use super::shapes::MAP_COLUMNS;
 use rayset_files::octree::layout::RUN_POINTS;
 
 /// One ray and the points of a run, with distances in units of each point's radius.

@@ -20,10 +20,10 @@ impl RunDecoder {
 }
 
 impl DecodedRun {
-    /// Makes one point of points with one place, one radius and shape, and weights above zero: their density
-    /// is one kernel's with the sum of their weights, and their attributes are averaged by weight,
-    /// as those of samples are. Not for points with labels, which are not averaged: each counts by
-    /// itself.
+    /// Makes one point of points with one place, one radius and shape, and weights above zero:
+    /// their density is one kernel's with the sum of their weights, and their attributes are
+    /// averaged by weight, as those of samples are. Not for points with labels, which are not
+    /// averaged: each counts by itself.
     #[cold]
     pub(super) fn merge_places(&mut self) {
         let same = self.points.same_as_before();

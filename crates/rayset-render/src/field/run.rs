@@ -3,16 +3,14 @@
 use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
-use super::columns::{CHUNK_POINTS, CHUNKS, MAP_BYTES, PointColumns};
+use super::columns::{CHUNK_POINTS, CHUNKS, MAP_BYTES, MAP_COLUMNS, PointColumns};
 use super::kernel::Kernel;
-use super::shapes::{MAP_COLUMNS, precise_map};
 use super::simd::{SimdLevel, dispatch};
 use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::DVec3;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
 use rayset_files::octree::page::Run;
-use rayset_files::octree::shape::StoredShape;
 
 /// Largest ratio of a run's extent to its smallest radius for single precision. Beyond it,
 /// coordinates relative to the run's centre would have errors of more than a few 1e-5 of a radius,
@@ -393,9 +391,7 @@ impl DecodedRun {
         for (o, i) in wide.inverse_radius.iter_mut().zip(&self.points.inverse_radius) {
             *o = f64::from(*i);
         }
-        wide.map.clear();
-        let shapes = run.shapes(header).into_iter().flatten().map(StoredShape::decode);
-        wide.map.extend(shapes.zip(&self.points.radius).map(|(shape, r)| precise_map(&shape, f64::from(*r))));
+        wide.decode_maps(run, header, &self.points.radius);
         self.wide = Some(wide);
     }
 }

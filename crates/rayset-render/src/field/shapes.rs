@@ -2,17 +2,14 @@
 //! its ellipsoid to the unit ball (see [`Shape::unit_from_local`]), of which distances are then
 //! those of the kernel.
 
-use super::columns::CHUNK_POINTS;
-use super::run::{DecodedRun, RunDecoder, normalised_weight};
+use super::columns::{CHUNK_POINTS, MAP_COLUMNS};
+use super::run::{DecodedRun, RunDecoder, WideRun, normalised_weight};
 use super::simd::{SimdLevel, dispatch};
 use rayset_base::geometry::Shape;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::RUN_POINTS;
 use rayset_files::octree::page::Run;
 use rayset_files::octree::shape::{SHAPE_COLUMNS, StoredShape};
-
-/// Columns of a map: element (i, j) of row i is in column 3·i + j.
-pub(super) const MAP_COLUMNS: usize = 9;
 
 /// Shapes of a run as they are stored, by columns.
 type ShapeWords = [[u16; RUN_POINTS]; SHAPE_COLUMNS];
@@ -111,8 +108,17 @@ fn axes([a, b, c, a2, a3]: [u16; SHAPE_COLUMNS]) -> ([[f32; 3]; 3], [f32; 2]) {
     (axes, [a2, a3.min(a2)])
 }
 
+impl WideRun {
+    /// Decodes the maps of the points of a run in double precision, of points with these radii.
+    pub(super) fn decode_maps(&mut self, run: &Run<'_>, header: &Header, radii: &[f32; RUN_POINTS]) {
+        self.map.clear();
+        let shapes = run.shapes(header).into_iter().flatten().map(StoredShape::decode);
+        self.map.extend(shapes.zip(radii).map(|(shape, radius)| precise_map(&shape, f64::from(*radius))));
+    }
+}
+
 /// The map of a point in double precision, by rows.
-pub(super) fn precise_map(shape: &Shape, radius: f64) -> [f64; MAP_COLUMNS] {
+fn precise_map(shape: &Shape, radius: f64) -> [f64; MAP_COLUMNS] {
     let rows = shape.unit_from_local().transpose() * (1.0 / radius);
     rows.to_cols_array()
 }

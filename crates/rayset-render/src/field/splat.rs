@@ -77,8 +77,8 @@ impl Splatter {
     fn with_kernel<K: LaneKernel>(&self, runs: &mut [Box<BatchedRun>], job: SplatJob<'_>) -> SplatCounts {
         // Labels are kept in memory, as attributes are where there are many.
         let attributes = if self.channels.labels > 0 { ANY } else { self.channels.attributes };
-        // All runs are of one cloud. Ellipsoids have fewer loops of their own: one without attributes
-        // is that of any number of them.
+        // All runs are of one cloud. Ellipsoids have fewer loops of their own: one without
+        // attributes is that of any number of them.
         let has_shapes = runs.iter().any(|item| !item.run.points.map.is_empty());
         match (self.channels.gradient, attributes) {
             (false, COLOR) if has_shapes => self.with_channels::<K, false, COLOR, true>(runs, job),
@@ -268,19 +268,17 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
             here &= here - 1;
             let item = &mut *runs[number];
             let ray = LaneRay::new(job.packet, &item.frames, lane);
-            if tested >> number & 1 == 0 {
-                tested |= 1 << number;
-                let blocks = reaching.blocks_from(block, number);
-                let chunks = group.look_up(simd, number, item, job.packet, &ray);
-                counts.pairs_tested += u64::from(chunks.count_ones());
-                let BatchedRun { run, near, pairs, .. } = item;
-                let is_selected = !SHAPES && group.bounded >> number & 1 == 1;
-                let points = if is_selected { near } else { &run.points };
-                pairs.test::<S, GRADIENT, SHAPES>(simd, &ray, points, chunks, blocks, job.limits);
-            }
+            let is_first = tested >> number & 1 == 0;
+            let blocks = reaching.blocks_from(block, number);
+            let chunks = if is_first { group.look_up(simd, number, item, job.packet, &ray) } else { 0 };
             let BatchedRun { run, near, pairs, .. } = item;
             let is_selected = !SHAPES && group.bounded >> number & 1 == 1;
             let points = if is_selected { &*near } else { &run.points };
+            if is_first {
+                tested |= 1 << number;
+                counts.pairs_tested += u64::from(chunks.count_ones());
+                pairs.test::<S, GRADIENT, SHAPES>(simd, &ray, points, chunks, blocks, job.limits);
+            }
             let hits = pairs.hits(block);
             if hits == [0, 0] {
                 continue;

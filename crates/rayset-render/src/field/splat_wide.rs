@@ -1,12 +1,12 @@
 //! Splats runs whose points are small compared with the extent of the run, in `f64`: runs of sparse
 //! clouds, most of whose points no ray of a packet meets.
 
+use super::columns::MAP_COLUMNS;
 use super::counts::SplatCounts;
 use super::kernel::Kernel;
 use super::packet::LANES;
 use super::run::DecodedRun;
 use super::samples::SplatJob;
-use super::shapes::MAP_COLUMNS;
 use super::simd::{SimdLevel, dispatch};
 
 /// Adds such a run, point by point: each is tested against all rays together, and added to those
@@ -40,6 +40,9 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
                 Some(map) => WidePair::of_ellipsoid(d, c, map),
             };
             let WidePair { nearest, half, .. } = pair;
+            if half == 0.0 && !wide.map.is_empty() {
+                continue;
+            }
             // The samples in reach, with one to spare on either side. Casts to integers round
             // toward 0, and negative numbers become 0.
             let number = |t: f64| t / packet.step[lane] - packet.sample_offset[lane];
@@ -50,28 +53,41 @@ pub(super) fn splat_wide<const GRADIENT: bool>(
             }
             job.samples.begin::<GRADIENT>(lane);
             counts.pairs_added += 1;
-            for sample in first..=last {
-                counts.kernel_evaluations += 1;
-                let along = packet.sample_t(lane, sample) - nearest;
-                let s = (along * along + pair.distance_squared) * pair.per_square;
-                let at = (sample - slab.first) as usize;
-                let weighted = (kernel.value(s) * f64::from(run.points.weight[i])) as f32;
-                job.samples.density[lane].0[at] += weighted;
-                for (rows, column) in job.samples.attribute.iter_mut().zip(&run.attribute) {
-                    rows[lane].0[at] += weighted * column[i];
-                }
-                job.samples.label(lane, at, weighted, |label| run.label[label][i]);
-                if GRADIENT {
-                    let slope = kernel.slope_over_x(s) * f64::from(run.points.weight[i]) * pair.of_slope;
-                    for channel in 0..3 {
-                        let offset = along * pair.toward[channel] - pair.across[channel];
-                        job.samples.gradient[channel][lane].0[at] += (slope * offset) as f32;
-                    }
-                }
-            }
+            counts.kernel_evaluations += last + 1 - first;
+            let to = (lane, first, last);
+            add_samples::<GRADIENT>(kernel, (run, i), &pair, to, job);
         }
     }
     counts
+}
+
+/// Adds a point of a run to samples of a ray, from the first to the last.
+fn add_samples<const GRADIENT: bool>(
+    kernel: Kernel,
+    (run, i): (&DecodedRun, usize),
+    pair: &WidePair,
+    (lane, first, last): (usize, u64, u64),
+    job: &mut SplatJob<'_>,
+) {
+    let weight = f64::from(run.points.weight[i]);
+    for sample in first..=last {
+        let along = job.packet.sample_t(lane, sample) - pair.nearest;
+        let s = (along * along + pair.distance_squared) * pair.per_square;
+        let at = (sample - job.slab.first) as usize;
+        let weighted = (kernel.value(s) * weight) as f32;
+        job.samples.density[lane].0[at] += weighted;
+        for (rows, column) in job.samples.attribute.iter_mut().zip(&run.attribute) {
+            rows[lane].0[at] += weighted * column[i];
+        }
+        job.samples.label(lane, at, weighted, |label| run.label[label][i]);
+        if GRADIENT {
+            let slope = kernel.slope_over_x(s) * weight * pair.of_slope;
+            for channel in 0..3 {
+                let offset = along * pair.toward[channel] - pair.across[channel];
+                job.samples.gradient[channel][lane].0[at] += (slope * offset) as f32;
+            }
+        }
+    }
 }
 
 /// A ray and a point. With q the squared distance in units of the radius, in the space in which the

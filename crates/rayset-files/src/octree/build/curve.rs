@@ -10,7 +10,7 @@ use std::ops::Range;
 use super::context::Context;
 use super::control::Stage;
 use super::error::BuildError;
-use super::neighbourhood::Suggested;
+use super::neighbourhood::{OfPlace, Suggested};
 use super::neighbours::{STRETCH, Search, Stretches, square_between};
 use super::pipeline;
 use super::record::{self, KeyMaker};
@@ -74,21 +74,6 @@ struct Section {
     records: Range<u64>,
     first_block: u64,
     way: Way,
-}
-
-/// What the neighbours of a place say of its points.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct OfPlace {
-    /// The radius that a ball would have; 0 where they suggest none.
-    pub(super) radius: f64,
-    pub(super) suggested: Suggested,
-}
-
-impl OfPlace {
-    /// A ball.
-    fn ball(radius: f64) -> Self {
-        Self { radius, suggested: Suggested::NOTHING }
-    }
 }
 
 /// What is measured of a block.

@@ -16,6 +16,9 @@ use rayset_base::geometry::{DMat3, DQuat, DVec3, Shape, eigenvectors};
 const FLAT: f64 = 0.6;
 /// From here on points are scattered: most of those at random in space have more.
 const SCATTERED: f64 = 0.9;
+/// Up to this, places count as those of a surface where it is asked whether a cloud has any: of
+/// points at random in space, two in a hundred have less.
+const OF_SURFACE: f64 = 0.45;
 /// Up to this σ₂/σ₁, places are on a wire.
 const THIN: f64 = 0.25;
 
@@ -70,7 +73,22 @@ impl Suggested {
         let wide = (thin / THIN).min(1.0);
         let ratios = [1.0, thickness].map(|ratio| between(ROD_WIDTH, ratio, wide));
         let shape = StoredShape::encode(&Shape { rotation, ratios });
-        Self { shape, is_flat: scattered == 0.0 || wide < 1.0 }
+        Self { shape, is_flat: flat <= OF_SURFACE || wide < 1.0 }
+    }
+}
+
+/// What the neighbours of a place say of its points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct OfPlace {
+    /// The radius that a ball would have; 0 where they suggest none.
+    pub(super) radius: f64,
+    pub(super) suggested: Suggested,
+}
+
+impl OfPlace {
+    /// A ball.
+    pub(super) fn ball(radius: f64) -> Self {
+        Self { radius, suggested: Suggested::NOTHING }
     }
 }
 

@@ -24,10 +24,10 @@ pub enum Rule {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum ShapeRule {
-    /// Those of inputs that have columns of [semi-axes and rotations](crate::points::SHAPE_COLUMNS).
-    /// Else, where radii are measured, shapes are, too: discs on surfaces, rods along wires, small
-    /// balls where points are scattered. Clouds without surfaces have balls, and so have those
-    /// whose radii are given.
+    /// Those of inputs that have columns of [semi-axes and
+    /// rotations](crate::points::SHAPE_COLUMNS). Else, where radii are measured, shapes are, too:
+    /// discs on surfaces, rods along wires, small balls where points are scattered. Clouds without
+    /// surfaces have balls, and so have those whose radii are given.
     #[default]
     Auto,
     /// Balls, whatever the inputs say.

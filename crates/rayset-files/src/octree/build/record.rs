@@ -63,8 +63,8 @@ impl RecordLayout {
         Self { has_weight: true, ..self.clone() }
     }
 
-    /// The same layout with a radius in front of the other columns, and behind it a shape if that is
-    /// measured, too.
+    /// The same layout with a radius in front of the other columns, and behind it a shape if that
+    /// is measured, too.
     pub(super) fn with_measures(&self, with_shape: bool) -> Self {
         Self { has_radius: true, has_shape: self.has_shape || with_shape, ..self.clone() }
     }

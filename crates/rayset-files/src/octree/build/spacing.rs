@@ -16,9 +16,10 @@
 use super::context::Context;
 use super::control::Stage;
 use super::copies;
-use super::curve::{Boxes, Curve, GRAIN, OfPlace, Sketch, most_boxes};
+use super::curve::{Boxes, Curve, GRAIN, Sketch, most_boxes};
 use super::error::BuildError;
 use super::ingest::Ingested;
+use super::neighbourhood::OfPlace;
 use super::neighbours::{FOR_DISTANCE, FOR_SHAPE};
 use super::partition::Partition;
 use super::pieces::{Assemble, Copy};
@@ -35,8 +36,8 @@ const POSITION: usize = 24;
 /// Position and radius of a record, after which its shape is.
 const HEAD: usize = 28;
 
-/// Rewrites all records, each with a radius and perhaps a shape, in the order of the curve; equal ones as one if they
-/// are many.
+/// Rewrites all records, each with a radius and perhaps a shape, in the order of the curve; equal
+/// ones as one if they are many.
 pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<Ingested, BuildError> {
     let Ingested { spill, survey } = ingested;
     let (keys, stride) = (survey.curve_keys(), survey.layout.stride());

@@ -1,8 +1,7 @@
 //! Which radii are usual in a cloud, from counts of the radii that were measured.
 
-use super::curve::OfPlace;
 use super::error::{BuildError, Quantity};
-use super::neighbourhood;
+use super::neighbourhood::{self, OfPlace};
 use super::survey::{LIMIT, Survey};
 use crate::octree::shape::StoredShape;
 

@@ -1,11 +1,11 @@
 //! The details of a cloud: the nodes of its octree, groups of points, and points.
 //!
-//! The detail of a point is its radius, of flat ellipsoids less (`StoredShape::detail`). A node whose points
-//! all ask for about the same steps, or that is hardly wider than a cell of the finest of them, is
-//! a detail of the least of theirs, within its bounds. Of others, groups of [`GROUP_POINTS`] points
-//! are, which follow each other in a run, each of its least detail, within the box around the
-//! spheres of its points' radii. If a group's points are scattered, most rays that meet
-//! its box meet no point: then a ray has a detail where it passes through one.
+//! The detail of a point is its radius, of flat ellipsoids less (`StoredShape::detail`). A node
+//! whose points all ask for about the same steps, or that is hardly wider than a cell of the finest
+//! of them, is a detail of the least of theirs, within its bounds. Of others, groups of
+//! [`GROUP_POINTS`] points are, which follow each other in a run, each of its least detail, within
+//! the box around the spheres of its points' radii. If a group's points are scattered, most rays
+//! that meet its box meet no point: then a ray has a detail where it passes through one.
 
 use std::ops::Range;
 
