@@ -11,7 +11,7 @@ use rayset::points::{ArraySource, PointBatch, PointSource, Workload};
 use crate::common::{Random, folder, mixed_points};
 
 /// Builds under several conditions and checks that all files are the same, and whole.
-fn check(folder: &Path, sources: &dyn Fn() -> Vec<Box<dyn PointSource>>, options: &BuildOptions) {
+pub(crate) fn check(folder: &Path, sources: &dyn Fn() -> Vec<Box<dyn PointSource>>, options: &BuildOptions) {
     let mut first: Option<Vec<u8>> = None;
     for (threads, memory) in
         [(1, build::minimum_memory(1)), (2, build::minimum_memory(2)), (3, 64 << 20), (1, 1 << 30)]

@@ -51,7 +51,7 @@ fn local(folder: &Path, sources: Sources<'_>, options: &BuildOptions) -> Vec<u8>
 }
 
 /// Builds at once and in 1, 2 and 7 parts, the latter with little memory, and compares the bytes.
-fn check(name: &str, sources: Sources<'_>, options: &BuildOptions) {
+pub(crate) fn check(name: &str, sources: Sources<'_>, options: &BuildOptions) {
     let folder = folder();
     let whole = local(folder.path(), sources, options);
     for (count, threads) in [(1, 1), (2, 2), (7, 1)] {

@@ -82,7 +82,7 @@ fn differing(scene: &Scene, settings: &RenderSettings) -> (usize, usize) {
     (differ(&by_place), differ(&same))
 }
 
-fn check(what: &str, scene: &Scene, allowed: usize) {
+pub(crate) fn check(what: &str, scene: &Scene, allowed: usize) {
     let (by_place, same) = differing(scene, &settings(SIDE, SIDE));
     assert!(by_place <= allowed, "{what}: {by_place} pixels differ, {same} with the coarsest step");
     assert!(same > 20, "{what}: the coarsest step alone makes the same picture but for {same} pixels");
