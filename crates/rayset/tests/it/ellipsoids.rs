@@ -11,7 +11,7 @@ use rayset::points::{ArraySource, PointSource};
 use rayset::scene::{Camera, Node, OpacityRule, Projection, RenderSettings, Scene, Shape, Step};
 use rayset::trace::{ExecSettings, render_once};
 
-use crate::common::{Random, bits, build_at, camera, folder, look, paged, plain_picture, scene_of, settings};
+use crate::common::{Random, bits, folder, look, paged, plain_picture, scene_of, settings};
 use crate::right_picture::{check_field, count_wrong_pixels};
 use crate::{build_is_pure, build_parts, steps_by_place};
 
@@ -241,7 +241,7 @@ fn the_mass_of_the_stored_shapes_is_that_of_their_weights() {
     let mut weights = 0.0;
     cloud
         .for_each_run(|_, run| {
-            weights += run.weights(cloud.header()).into_iter().flatten().map(f64::from).sum::<f64>()
+            weights += run.weights(cloud.header()).into_iter().flatten().map(f64::from).sum::<f64>();
         })
         .expect("it reads");
     assert!((mass / weights - 1.0).abs() < 1e-3, "{mass} of {weights}");
