@@ -18,8 +18,8 @@ use super::typical::Measured;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::spill::Spill;
 
-/// Chosen by measurement (docs/benchmarks.md, "Automatic radii and shapes"): a compromise of a thin surface
-/// and one without pores.
+/// Chosen by measurement (docs/benchmarks.md, "Automatic radii and shapes"): a compromise of a thin
+/// surface and one without pores.
 const RADII_PER_DISTANCE: f64 = 0.85;
 /// Number of records that share a box, if there is memory for so many boxes.
 pub(super) const GRAIN: u64 = 256;
