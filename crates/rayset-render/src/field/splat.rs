@@ -167,6 +167,12 @@ struct Group {
 const LEAST_RAYS: u32 = 3;
 
 impl Group {
+    /// Whether the points of a run that are tested are those selected for the group: of balls alone.
+    #[inline(always)]
+    fn selects<const SHAPES: bool>(&self, number: usize) -> bool {
+        !SHAPES && self.bounded >> number & 1 == 1
+    }
+
     /// The chunks of points of a run, or of those of its points near the group if these are balls,
     /// that are to be tested against a ray of the group.
     #[inline(always)]
@@ -268,17 +274,17 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
             here &= here - 1;
             let item = &mut *runs[number];
             let ray = LaneRay::new(job.packet, &item.frames, lane);
-            let is_first = tested >> number & 1 == 0;
-            let blocks = reaching.blocks_from(block, number);
-            let chunks = if is_first { group.look_up(simd, number, item, job.packet, &ray) } else { 0 };
-            let BatchedRun { run, near, pairs, .. } = item;
-            let is_selected = !SHAPES && group.bounded >> number & 1 == 1;
-            let points = if is_selected { &*near } else { &run.points };
-            if is_first {
+            if tested >> number & 1 == 0 {
                 tested |= 1 << number;
+                let blocks = reaching.blocks_from(block, number);
+                let chunks = group.look_up(simd, number, item, job.packet, &ray);
                 counts.pairs_tested += u64::from(chunks.count_ones());
+                let BatchedRun { run, near, pairs, .. } = item;
+                let points = if group.selects::<SHAPES>(number) { near } else { &run.points };
                 pairs.test::<S, GRADIENT, SHAPES>(simd, &ray, points, chunks, blocks, job.limits);
             }
+            let BatchedRun { run, near, pairs, .. } = item;
+            let points = if group.selects::<SHAPES>(number) { &*near } else { &run.points };
             let hits = pairs.hits(block);
             if hits == [0, 0] {
                 continue;
