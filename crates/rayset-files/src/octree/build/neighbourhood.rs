@@ -14,10 +14,10 @@ use rayset_base::geometry::{DMat3, DQuat, DVec3, Shape, eigenvectors};
 /// Up to this σ₃/σ₂, places are flat: of a plane whose noise is half the distance between points,
 /// most have less.
 const FLAT: f64 = 0.6;
-/// From here on points are scattered: most of those at random in space have more.
+/// From here on points are scattered. Of those at random in space, nine in ten lie between.
 const SCATTERED: f64 = 0.9;
 /// Up to this, places count as those of a surface where it is asked whether a cloud has any: of
-/// points at random in space, two in a hundred have less.
+/// points at random in space, one in a hundred has less.
 const OF_SURFACE: f64 = 0.45;
 /// Up to this σ₂/σ₁, places are on a wire.
 const THIN: f64 = 0.25;
@@ -55,7 +55,7 @@ impl Suggested {
             let v = offset - mean;
             covariance += DMat3::from_cols(v * v.x, v * v.y, v * v.z);
         }
-        // Relative to the largest element, so that squares of squares stay in the range of numbers.
+        // Relative to the trace, so that squares of squares stay in the range of numbers.
         let trace = covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z;
         if !(trace > f64::MIN_POSITIVE && trace.is_finite()) {
             return Self::NOTHING;

@@ -135,8 +135,8 @@ impl Measured {
     }
 }
 
-/// Where fewer places are flat, a cloud has no surfaces: of points at random in space, three in a
-/// hundred are.
+/// Where fewer places are flat, a cloud has no surfaces: of points at random in space, one in a
+/// hundred is.
 const LEAST_FLAT: f64 = 0.1;
 
 /// The limit is at least this multiple of the median: clouds that are sampled evenly have sparse
