@@ -14,7 +14,7 @@ use rayset_base::geometry::{DMat3, DQuat, DVec3, Shape, eigenvectors};
 /// Up to this σ₃/σ₂, places are flat: of a plane whose noise is half the distance between points,
 /// most have less.
 const FLAT: f64 = 0.6;
-/// From here on points are scattered. Of those at random in space, nine in ten lie between.
+/// From here on points are scattered. Of those at random in space, four in five lie between.
 const SCATTERED: f64 = 0.9;
 /// Up to this, places count as those of a surface where it is asked whether a cloud has any: of
 /// points at random in space, one in a hundred has less.
