@@ -167,7 +167,8 @@ struct Group {
 const LEAST_RAYS: u32 = 3;
 
 impl Group {
-    /// Whether the points of a run that are tested are those selected for the group: of balls alone.
+    /// Whether the points of a run that are tested are those selected for the group: of balls
+    /// alone.
     #[inline(always)]
     fn selects<const SHAPES: bool>(&self, number: usize) -> bool {
         !SHAPES && self.bounded >> number & 1 == 1
