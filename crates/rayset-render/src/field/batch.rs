@@ -81,7 +81,7 @@ impl RunBatch {
         if !is_known {
             decoder.place(run, header, step, &mut item.run);
         }
-        dispatch!(simd.level(), simd => set_frames(simd, &mut item.frames, &item.run, packet, slab, lanes));
+        item.set_frames(simd, (packet, slab, lanes));
         if !item.run.may_be_wide && item.frames.meets.iter().all(|meets| meets & lanes == 0) {
             if is_known {
                 self.keep(self.len);
@@ -90,6 +90,9 @@ impl RunBatch {
         }
         if !is_known {
             decoder.decode(run, header, step, simd, &mut item.run);
+            if item.run.has_plates {
+                item.set_frames(simd, (packet, slab, lanes));
+            }
         }
         let appended = if is_known { Appended::Known } else { Appended::Decoded };
         if joins && self.join_last_two() {
@@ -147,19 +150,13 @@ impl RunBatch {
     }
 }
 
-/// Sets the frames of a run. It is the same for all kernels, and compiled apart from them: there
-/// are 42 loops over kernels and quantities for each set of instructions.
-#[inline(always)]
-fn set_frames<S: Simd>(
-    simd: S,
-    frames: &mut Frames,
-    run: &DecodedRun,
-    packet: &Packet,
-    slab: Slab,
-    lanes: u64,
-) {
-    simd.vectorize(
-        #[inline(always)]
-        || frames.set(simd, run, packet, slab, lanes),
-    );
+impl BatchedRun {
+    /// Finds where rays are near the run. It is the same for all kernels, and compiled apart from
+    /// them: there are 42 loops over kernels and quantities for each set of instructions.
+    fn set_frames(&mut self, simd: SimdLevel, (packet, slab, lanes): (&Packet, Slab, u64)) {
+        dispatch!(simd.level(), simd => simd.vectorize(
+            #[inline(always)]
+            || self.frames.set(simd, &self.run, packet, slab, lanes),
+        ));
+    }
 }

@@ -112,6 +112,12 @@ impl Frames {
                 enter = enter.max(a.min(b));
                 exit = exit.min(a.max(b));
             }
+            if run.has_plates {
+                let foot = [0, 1, 2].map(|axis| lanes_of(simd, &self.minus_foot[axis], chunk));
+                let direction = [0, 1, 2].map(|axis| lanes_of(simd, &packet.direction_f32[axis], chunk));
+                let (from, to) = run.plates.of_run.ranges(simd, foot, direction);
+                (enter, exit) = (enter.max(from), exit.min(to));
+            }
             // In blocks from the slab's beginning. Half a sample of slack on either side covers the
             // rounding error.
             let zero = lanes_of(simd, &self.sample_zero, chunk);
@@ -216,9 +222,10 @@ impl LaneRay {
         (nearest, [back.mul_add(dx, x), back.mul_add(dy, y), back.mul_add(dz, z)])
     }
 
-    /// Chunks of points whose sphere of influence the ray meets in the slab; a bit for each.
+    /// Chunks of points whose sphere of influence the ray meets in the slab, of ellipsoids within
+    /// their plate; a bit for each.
     #[inline(always)]
-    pub(super) fn chunks_in_reach<S: Simd>(&self, simd: S, run: &DecodedRun) -> u64 {
+    pub(super) fn chunks_in_reach<S: Simd, const SHAPES: bool>(&self, simd: S, run: &DecodedRun) -> u64 {
         let mut reached = 0;
         for group in 0..CHUNKS / 8 {
             let range = 8 * group..8 * group + 8;
@@ -229,10 +236,18 @@ impl LaneRay {
             ];
             let (nearest, [x, y, z]) = self.project(simd, center);
             let distance_squared = z.mul_add(z, y.mul_add(y, x * x));
-            let gap = (self.start - nearest).max(nearest - self.end).max(0.0);
-            let within = gap
+            let (mut start, mut end) = (f32x8::splat(simd, self.start), f32x8::splat(simd, self.end));
+            if SHAPES {
+                let (from, to) = run.plates.ranges(simd, 8 * group, self.minus_foot, self.direction);
+                (start, end) = (start.max(from), end.min(to));
+            }
+            let gap = (start - nearest).max(nearest - end).max(0.0);
+            let mut within = gap
                 .mul_add(gap, distance_squared)
                 .simd_le(f32x8::from_slice(simd, &run.chunk_reach_squared[range]));
+            if SHAPES {
+                within &= start.simd_le(end);
+            }
             reached |= within.to_bitmask() << (8 * group);
         }
         reached

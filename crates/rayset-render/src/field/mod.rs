@@ -11,6 +11,7 @@ mod lane_ray;
 mod packet;
 mod pairs;
 mod places;
+mod plates;
 mod ray_columns;
 pub mod reference;
 mod run;

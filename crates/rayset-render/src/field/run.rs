@@ -5,6 +5,7 @@ use fearless_simd::prelude::*;
 
 use super::columns::{CHUNK_POINTS, CHUNKS, MAP_BYTES, MAP_COLUMNS, PointColumns};
 use super::kernel::Kernel;
+use super::plates::Plates;
 use super::simd::{SimdLevel, dispatch};
 use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::DVec3;
@@ -53,6 +54,10 @@ pub struct DecodedRun {
     pub(super) chunk_center: [[f32; CHUNKS]; 3],
     /// Negative for chunks that the run does not have.
     pub(super) chunk_reach_squared: [f32; CHUNKS],
+    /// Of ellipsoids, where rays are near them.
+    pub(super) plates: Plates,
+    /// Whether that is known: of decoded points in single precision.
+    pub(super) has_plates: bool,
     /// One column for each channel of [`AttributeColumns`].
     pub(super) attribute: Vec<[f32; RUN_POINTS]>,
     /// One column for each attribute of class labels.
@@ -155,6 +160,7 @@ impl RunDecoder {
         out.size = (bounds.size().max_element(), radius_max);
         let least = least_length(f64::from(header.radius.min()), f64::from(header.details().0));
         out.may_be_wide = is_wide(out.size, least, step);
+        out.has_plates = false;
     }
 
     /// Decodes the points of a run whose place is known, for samples that are at least `step`
@@ -209,6 +215,10 @@ impl RunDecoder {
             out.merge_places();
             out.pad_last_chunk();
             out.bound_chunks(simd);
+        }
+        out.has_plates = header.shape.is_some() && !is_wide;
+        if out.has_plates {
+            out.set_plates(simd);
         }
     }
 
@@ -307,6 +317,8 @@ impl Default for DecodedRun {
             points: PointColumns::default(),
             chunk_center: [[0.0; CHUNKS]; 3],
             chunk_reach_squared: [-1.0; CHUNKS],
+            plates: Plates::default(),
+            has_plates: false,
             attribute: Vec::new(),
             label: Vec::new(),
             wide: None,
@@ -345,6 +357,14 @@ impl DecodedRun {
             *squared = inverse * inverse;
         }
         self.points.inverse_radius_squared[n..padded].fill(f32::INFINITY);
+        self.points.map.iter_mut().for_each(|column| column[n..padded].fill(f32::INFINITY));
+    }
+
+    fn set_plates<S: Simd>(&mut self, simd: S) {
+        simd.vectorize(
+            #[inline(always)]
+            || self.plates.set(simd, &self.points, self.len, self.reach_length),
+        );
     }
 
     /// Returns a bit for each chunk whose points are in one place.

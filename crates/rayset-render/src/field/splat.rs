@@ -177,7 +177,7 @@ impl Group {
     /// The chunks of points of a run, or of those of its points near the group if these are balls,
     /// that are to be tested against a ray of the group.
     #[inline(always)]
-    fn look_up<S: Simd>(
+    fn look_up<S: Simd, const SHAPES: bool>(
         &mut self,
         simd: S,
         number: usize,
@@ -197,7 +197,12 @@ impl Group {
                 }
             }
         }
-        if self.bounded & bit == 0 { ray.chunks_in_reach(simd, &item.run) } else { item.near_chunks }
+        let is_bounded = self.bounded & bit != 0;
+        if SHAPES {
+            let near = if is_bounded { item.near_chunks } else { u64::MAX };
+            return near & ray.chunks_in_reach::<S, true>(simd, &item.run);
+        }
+        if is_bounded { item.near_chunks } else { ray.chunks_in_reach::<S, false>(simd, &item.run) }
     }
 }
 
@@ -278,7 +283,7 @@ fn splat_lane<S: Simd, K: LaneKernel, const GRADIENT: bool, const ATTRIBUTES: us
             if tested >> number & 1 == 0 {
                 tested |= 1 << number;
                 let blocks = reaching.blocks_from(block, number);
-                let chunks = group.look_up(simd, number, item, job.packet, &ray);
+                let chunks = group.look_up::<S, SHAPES>(simd, number, item, job.packet, &ray);
                 counts.pairs_tested += u64::from(chunks.count_ones());
                 let BatchedRun { run, near, pairs, .. } = item;
                 let points = if group.selects::<SHAPES>(number) { near } else { &run.points };
