@@ -48,6 +48,9 @@ struct Info {
     radius_min: f32,
     radius_max: f32,
     radius_mean: f64,
+    /// The least and the largest detail of points that are ellipsoids: of each its radius, or twice
+    /// its shortest semi-axis if that is less.
+    details: Option<(f32, f32)>,
     weight_min: f32,
     weight_max: f32,
     position_error: f64,
@@ -190,6 +193,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
         radius_min: h.radius.min(),
         radius_max: h.radius.max(),
         radius_mean: h.radius_mean,
+        details: h.shape,
         weight_min: h.weight.min(),
         weight_max: h.weight.max(),
         position_error: h.position_error,
@@ -324,6 +328,12 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
     }
     report::say(format_args!("radius      {}, mean {}", column(radius), report::number(info.radius_mean)));
     histogram("radius");
+    if let Some((least, largest)) = info.details {
+        let [least, largest] = [least, largest].map(report::number);
+        report::say(format_args!(
+            "shapes      ellipsoids, whose details (radii, or twice the shortest semi-axes) are {least} to {largest}"
+        ));
+    }
     report::say(format_args!("weight      {}", column(weight)));
     histogram("weight");
     let steps = info.step.map_or_else(String::new, |step| {

@@ -4,6 +4,7 @@
 
 pub mod field;
 pub mod image;
+mod math;
 pub mod scene;
 pub mod scene_file;
 pub mod trace;

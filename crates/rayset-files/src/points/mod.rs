@@ -13,5 +13,5 @@ pub use self::array::ArraySource;
 pub use self::column::{ColumnInfo, ColumnType, Values};
 pub use self::error::{Place, ReadError};
 pub use self::slices::{ColumnLengthError, ColumnSlice, PositionSlice, SliceSource};
-pub use self::source::{ColorDepth, PointBatch, PointSource, SHAPE_COLUMNS, Schema};
+pub use self::source::{ColorDepth, PointBatch, PointSource, ROUND_RADIUS, SHAPE_COLUMNS, Schema};
 pub use self::synthetic::{Workload, WorkloadView};

@@ -14,6 +14,9 @@ use rayset_base::geometry::DVec3;
 pub const SHAPE_COLUMNS: [&str; 7] =
     ["semi_axis_1", "semi_axis_2", "semi_axis_3", "rotation_x", "rotation_y", "rotation_z", "rotation_w"];
 
+/// Of points with shapes, a column that may say the radius of each where points are to be round.
+pub const ROUND_RADIUS: &str = "round_radius";
+
 /// The value range of the colour columns of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]

@@ -45,7 +45,8 @@ mod vtk;
 
 pub use rayset_files::points::{
     ArraySource, ColorDepth, ColumnInfo, ColumnLengthError, ColumnSlice, ColumnType, Place, PointBatch,
-    PointSource, PositionSlice, ReadError, Schema, SliceSource, Values, Workload, WorkloadView, roles,
+    PointSource, PositionSlice, ROUND_RADIUS, ReadError, SHAPE_COLUMNS, Schema, SliceSource, Values,
+    Workload, WorkloadView, roles,
 };
 
 pub use self::formats::{ReadOptions, open};

@@ -140,9 +140,10 @@ impl CloudLook {
             root["normalised"] = json!(true);
         }
         if self.name == LookName::Splats {
-            // What a splat's weight is made for: a Gaussian cut off at three deviations, as
-            // extinction.
-            root["kernel"] = json!("gaussian");
+            // Weights that are opacities are those of splats; others are extinctions at centres.
+            let are_opacities = |said: &String| said.contains("Gaussian splats, ");
+            let are_splats = cloud.header().sources.iter().any(are_opacities);
+            root["kernel"] = json!(if are_splats { "splat" } else { "gaussian" });
         }
         root
     }

@@ -30,7 +30,7 @@ options! {
         /// Look; chosen from the data by default, and said
         look: LookName = Word;
         /// Kernel: wyvill (by default), chen, gaussian, cubic-spline, wendland-c2, epanechnikov,
-        /// triweight
+        /// triweight, splat
         kernel: Kernel = Named;
         /// Kernels integrate to one (smoothed-particle hydrodynamics); left out where weights are
         /// densities already, as those of snapshots are

@@ -1,5 +1,5 @@
 //! The seven radial basis functions, in `f64` for the reference renderer and in `f32` for eight
-//! samples at a time.
+//! samples at a time; and splats, which are none ([`super::gaussian_splat`]).
 //!
 //! A kernel ω takes x = d/r. It is 1 at x = 0 and 0 for x ≥ 1. The functions here take s = x²,
 //! because all kernels but two can be evaluated from s without a square root. For gradients the
@@ -37,6 +37,12 @@ pub enum Kernel {
     Epanechnikov,
     /// (1 − x²)³.
     Triweight,
+    /// Gaussian splats, which are no density: a point absorbs o·exp(−b²/2) of a ray that passes its
+    /// centre at b deviations, with its weight as the opacity o, whatever the step is. What it
+    /// absorbs ends where that is 1/512, which is at the radius: √(2 ln(512·o)) deviations. In
+    /// place of a density, samples have the mean extinction of their intervals, per unit of world
+    /// space.
+    Splat,
 }
 
 impl Kernel {
@@ -49,7 +55,11 @@ impl Kernel {
         Self::WendlandC2,
         Self::Epanechnikov,
         Self::Triweight,
+        Self::Splat,
     ];
+
+    /// Those of densities: all but [`Splat`](Self::Splat).
+    pub const OF_DENSITIES: &[Self] = Self::ALL.split_at(7).0;
 
     /// The name used on the command line and in scene files.
     #[must_use]
@@ -62,10 +72,12 @@ impl Kernel {
             Self::WendlandC2 => "wendland-c2",
             Self::Epanechnikov => "epanechnikov",
             Self::Triweight => "triweight",
+            Self::Splat => "splat",
         }
     }
 
-    /// ω as a function of s = x² ≥ 0, in `f64`.
+    /// ω as a function of s = x² ≥ 0, in `f64`. Splats have none; what is said of them is that of
+    /// the Gaussian.
     #[must_use]
     pub fn value(self, s: f64) -> f64 {
         if s >= 1.0 {
@@ -74,7 +86,7 @@ impl Kernel {
         match self {
             Self::Wyvill => 1.0 + s * (-22.0 / 9.0 + s * (17.0 / 9.0 - s * (4.0 / 9.0))),
             Self::Chen => (1.0 - s).powi(2),
-            Self::Gaussian => ((-4.5 * s).exp() - GAUSSIAN_CUT) / (1.0 - GAUSSIAN_CUT),
+            Self::Gaussian | Self::Splat => ((-4.5 * s).exp() - GAUSSIAN_CUT) / (1.0 - GAUSSIAN_CUT),
             Self::CubicSpline => {
                 let q = 2.0 * s.sqrt();
                 if q < 1.0 { 1.0 - 1.5 * q * q + 0.75 * q * q * q } else { 0.25 * (2.0 - q).powi(3) }
@@ -97,7 +109,7 @@ impl Kernel {
         match self {
             Self::Wyvill => 2.0 * (-22.0 / 9.0 + s * (34.0 / 9.0 - s * (12.0 / 9.0))),
             Self::Chen => -4.0 * (1.0 - s),
-            Self::Gaussian => -9.0 * (-4.5 * s).exp() / (1.0 - GAUSSIAN_CUT),
+            Self::Gaussian | Self::Splat => -9.0 * (-4.5 * s).exp() / (1.0 - GAUSSIAN_CUT),
             Self::CubicSpline => {
                 let q = 2.0 * s.sqrt();
                 if q < 1.0 { 4.0 * (-3.0 + 2.25 * q) } else { -3.0 * (2.0 - q).powi(2) / q }
@@ -115,7 +127,7 @@ impl Kernel {
             // 4π ∫ x² ω dx, term by term.
             Self::Wyvill => 4.0 * PI * (1.0 / 3.0 - 22.0 / 45.0 + 17.0 / 63.0 - 4.0 / 81.0),
             Self::Chen => 4.0 * PI * (1.0 / 3.0 - 2.0 / 5.0 + 1.0 / 7.0),
-            Self::Gaussian => {
+            Self::Gaussian | Self::Splat => {
                 // ∫₀¹ x² exp(−a x²) dx = √π erf(√a)/(4 a^1.5) − exp(−a)/(2a), a = 4.5; erf(√4.5) to
                 // 16 digits.
                 const ERF_SQRT_4_5: f64 = 0.997_300_203_936_739_8;
@@ -158,6 +170,8 @@ const GAUSSIAN_CUT: f64 = 0.011_108_996_538_242_306;
 /// 1 − x², which the loop has computed already. Results are exactly zero for q ≤ 0, so that culling
 /// a pair that does not contribute never changes a bit.
 pub(crate) trait LaneKernel: Copy {
+    /// Whether points are splats, of which the intervals of samples count, and no ω.
+    const IS_SPLAT: bool = false;
     /// ω for eight samples.
     fn value<S: Simd>(q: f32x8<S>) -> f32x8<S>;
     /// ω'(x)/x for eight samples.
@@ -242,6 +256,24 @@ lane_kernels! {
     }
 }
 
+/// Splats, which are added in a way of their own.
+#[derive(Clone, Copy)]
+pub(crate) struct Splat;
+
+impl LaneKernel for Splat {
+    const IS_SPLAT: bool = true;
+
+    #[inline(always)]
+    fn value<S: Simd>(q: f32x8<S>) -> f32x8<S> {
+        Gaussian::value(q)
+    }
+
+    #[inline(always)]
+    fn slope_over_x<S: Simd>(q: f32x8<S>) -> f32x8<S> {
+        Gaussian::slope_over_x(q)
+    }
+}
+
 /// exp(−4.5)/(1 − exp(−4.5)), the Gaussian's C.
 const GAUSSIAN_SCALE: f32 = (GAUSSIAN_CUT / (1.0 - GAUSSIAN_CUT)) as f32;
 
@@ -288,12 +320,13 @@ mod tests {
             Kernel::WendlandC2 => dispatch!(level, simd => lanes::<_, WendlandC2>(simd, s)),
             Kernel::Epanechnikov => dispatch!(level, simd => lanes::<_, Epanechnikov>(simd, s)),
             Kernel::Triweight => dispatch!(level, simd => lanes::<_, Triweight>(simd, s)),
+            Kernel::Splat => dispatch!(level, simd => lanes::<_, Splat>(simd, s)),
         }
     }
 
     #[test]
     fn lanes_agree_with_f64_and_vanish_outside() {
-        for &kernel in Kernel::ALL {
+        for &kernel in Kernel::OF_DENSITIES {
             for start in 0..80 {
                 let s: [f32; 8] = std::array::from_fn(|i| (start * 8 + i) as f32 / 512.0);
                 let (value, slope) = both(kernel, s);
@@ -317,7 +350,7 @@ mod tests {
 
     #[test]
     fn kernels_peak_at_one_and_their_slope_and_integral_match_the_value() {
-        for &kernel in Kernel::ALL {
+        for &kernel in Kernel::OF_DENSITIES {
             assert!((kernel.value(0.0) - 1.0).abs() < 1e-12);
             let (n, mut sum) = (200_000, 0.0);
             for i in 0..n {

@@ -12,6 +12,8 @@ use super::columns::CHUNKS;
 use super::packet::{BLOCK_SAMPLES, BLOCKS, GROUP, LANES, Packet, Slab};
 use super::run::DecodedRun;
 
+/// A step, in blocks.
+const STEP: f32 = 1.0 / BLOCK_SAMPLES as f32;
 const COUNT: [f32; BLOCK_SAMPLES] = [0., 1., 2., 3., 4., 5., 6., 7.];
 
 /// The rays of a packet relative to a run: the foot of each ray, nearest to the run's centre, and
@@ -26,7 +28,7 @@ pub(super) struct Frames {
     /// Signed distance along the ray from the foot to sample zero.
     sample_zero: [f32; LANES],
     /// The range of distances along the ray of the slab's samples, measured from the foot, or
-    /// slightly more.
+    /// slightly more: of splats, the range of their intervals.
     pub(super) start: [f32; LANES],
     pub(super) end: [f32; LANES],
     /// Where the slab begins, in blocks from the foot, and a slack that exceeds the rounding error
@@ -123,19 +125,22 @@ impl Frames {
             let zero = lanes_of(simd, &self.sample_zero, chunk);
             let first = lanes_of(simd, &self.first_sample, chunk);
             let start = zero.mul_add(per_block, first * (1.0 / BLOCK_SAMPLES as f32));
-            self.set_range(simd, packet, chunk, (start, start.abs() + per_block * run.reach_length));
+            let before = if run.are_splats { STEP } else { 0.0 };
+            let most = start.abs() + per_block * run.reach_length;
+            self.set_range(simd, packet, chunk, (start, most), before);
             let slack = (enter.abs() + exit.abs()).mul_add(per_block, start.abs()) * 1e-5;
             let from = enter.mul_add(per_block, -(start + slack));
             let to = exit.mul_add(per_block, slack - start);
+            let before = if run.are_splats { 0.0625 + STEP } else { 0.0625 };
             for b in 0..BLOCKS {
-                let meets = from.simd_lt(b as f32 + 1.0) & to.simd_gt(b as f32 - 0.0625);
+                let meets = from.simd_lt(b as f32 + 1.0) & to.simd_gt(b as f32 - before);
                 self.meets[b] |= meets.to_bitmask() << (8 * chunk);
             }
         }
     }
 
     /// Sets where the slab begins and ends on eight rays, from its beginning in blocks and a bound
-    /// of such numbers.
+    /// of such numbers; `before` is how far intervals begin before it.
     #[inline(always)]
     fn set_range<S: Simd>(
         &mut self,
@@ -143,13 +148,14 @@ impl Frames {
         packet: &Packet,
         chunk: usize,
         (start, most): (f32x8<S>, f32x8<S>),
+        before: f32,
     ) {
         let range = 8 * chunk..8 * chunk + 8;
         let step = lanes_of(simd, &packet.step_f32, chunk);
         let slack = most.mul_add(2e-6, f32x8::splat(simd, 2e-3));
         start.store_slice(&mut self.start_in_blocks[range.clone()]);
         slack.store_slice(&mut self.slack_in_blocks[range.clone()]);
-        let (begin, end) = (start - slack, start + slack + BLOCKS as f32);
+        let (begin, end) = (start - slack - before, start + slack + BLOCKS as f32);
         (begin * BLOCK_SAMPLES as f32 * step).store_slice(&mut self.start[range.clone()]);
         (end * BLOCK_SAMPLES as f32 * step).store_slice(&mut self.end[range]);
     }
@@ -175,6 +181,10 @@ pub(super) struct LaneRay {
     end: f32,
     pub(super) start_in_blocks: f32,
     pub(super) slack_in_blocks: f32,
+    /// How far the interval of a sample extends before and behind it.
+    pub(super) interval: (f32, f32),
+    /// The reciprocal of a step in world space.
+    pub(super) per_step_world: f32,
 }
 
 impl LaneRay {
@@ -195,6 +205,8 @@ impl LaneRay {
             end: frames.end[lane],
             start_in_blocks: frames.start_in_blocks[lane],
             slack_in_blocks: frames.slack_in_blocks[lane],
+            interval: packet.interval_f32(lane),
+            per_step_world: packet.per_step_world_f32(),
         }
     }
 

@@ -4,6 +4,7 @@
 mod batch;
 mod columns;
 mod counts;
+mod gaussian_splat;
 mod group;
 mod kept_runs;
 pub mod kernel;

@@ -167,6 +167,20 @@ impl Packet {
         self.sample_offset[lane]
     }
 
+    /// How far the interval of ticks of a sample extends before and behind it, in the packet's
+    /// space.
+    #[inline(always)]
+    pub(super) fn interval_f32(&self, lane: usize) -> (f32, f32) {
+        let before = self.sample_offset[lane] * self.step[lane];
+        (before as f32, (self.step[lane] - before) as f32)
+    }
+
+    /// The reciprocal of the distance between samples, world space.
+    #[inline(always)]
+    pub(super) fn per_step_world_f32(&self) -> f32 {
+        (1.0 / self.step_world) as f32
+    }
+
     /// A lower bound of the distance between samples in the packet's space, independent of the
     /// rays.
     #[must_use]

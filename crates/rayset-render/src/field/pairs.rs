@@ -41,9 +41,15 @@ pub(super) struct BlockLimits {
 }
 
 impl BlockLimits {
-    pub(super) fn new() -> Self {
+    /// Those of samples, or of their intervals, which begin up to a step before them.
+    pub(super) fn new(of_intervals: bool) -> Self {
         let of = |offset: f32| std::array::from_fn(|b| [b as f32 + offset; CHUNK_POINTS]);
-        Self { begin: of(0.0), end: of(1.0 - 1.0 / BLOCK_SAMPLES as f32) }
+        let step = 1.0 / BLOCK_SAMPLES as f32;
+        if of_intervals {
+            Self { begin: of(-step), end: of(1.0) }
+        } else {
+            Self { begin: of(0.0), end: of(1.0 - step) }
+        }
     }
 }
 

@@ -12,7 +12,7 @@ impl RunDecoder {
     /// Whether a run may be in the place of another, which is one point: two runs of one place have
     /// the same bounds.
     pub(super) fn may_join(&self, run: &Run<'_>, other: &DecodedRun) -> bool {
-        other.len == 1 && {
+        !self.are_splats && other.len == 1 && {
             let bounds = run.head.position_bounds(self.root);
             bounds.center() == other.center && bounds.size().max_element() == other.size.0
         }

@@ -4,6 +4,7 @@ use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
 use super::columns::{CHUNK_POINTS, CHUNKS, MAP_BYTES, MAP_COLUMNS, PointColumns};
+use super::gaussian_splat;
 use super::kernel::Kernel;
 use super::plates::Plates;
 use super::simd::{SimdLevel, dispatch};
@@ -43,6 +44,8 @@ pub struct DecodedRun {
     /// Whether it may need double precision, as far as its place tells: what is said of it in
     /// single precision need not hold then.
     pub(super) may_be_wide: bool,
+    /// Whether the points are splats, whose weights are their [extents](gaussian_splat::extent).
+    pub(super) are_splats: bool,
     /// The longest edge of the bounds of the positions, and the largest radius.
     pub(super) size: (f64, f64),
     /// By which it is found out whether it needs double precision: see [`least_length`].
@@ -113,6 +116,7 @@ impl AttributeColumns {
 pub struct RunDecoder {
     pub(super) root: RootCell,
     radius: Option<f32>,
+    pub(super) are_splats: bool,
     /// Normalised, if kernels are and all radii are the same.
     weight: Option<f32>,
     /// 1/∫ω dV over the unit ball, if each weight has to be normalised for itself.
@@ -134,9 +138,14 @@ impl RunDecoder {
         {
             *weight = normalised_weight(*weight, factor, 1.0 / radius, 1.0);
         }
+        let are_splats = kernel == Kernel::Splat;
+        if are_splats {
+            (weight, normalisation) = (weight.map(gaussian_splat::extent), None);
+        }
         Self {
             root: header.root_cell(),
             radius,
+            are_splats,
             weight,
             normalisation,
             columns,
@@ -161,6 +170,7 @@ impl RunDecoder {
         let least = least_length(f64::from(header.radius.min()), f64::from(header.details().0));
         out.may_be_wide = is_wide(out.size, least, step);
         out.has_plates = false;
+        out.are_splats = self.are_splats;
     }
 
     /// Decodes the points of a run whose place is known, for samples that are at least `step`
@@ -211,7 +221,7 @@ impl RunDecoder {
         out.set_wide(is_wide.then_some((run, header)));
         // Points in one place follow each other: fifteen of them fill a chunk. Fewer cost little.
         let whole = (1 << (n / CHUNK_POINTS)) - 1;
-        if one_place & whole != 0 && !is_wide && out.label.is_empty() {
+        if one_place & whole != 0 && !is_wide && !self.are_splats && out.label.is_empty() {
             out.merge_places();
             out.pad_last_chunk();
             out.bound_chunks(simd);
@@ -229,6 +239,9 @@ impl RunDecoder {
             out.points.weight[..n].fill(w);
         } else if let Some(weights) = run.weights(header) {
             out.points.weight.iter_mut().zip(weights).for_each(|(o, w)| *o = w);
+            if self.are_splats {
+                out.points.weight[..n].iter_mut().for_each(|w| *w = gaussian_splat::extent(*w));
+            }
         }
         if let Some(factor) = self.normalisation.filter(|_| header.shape.is_none()) {
             for (w, inverse) in out.points.weight[..n].iter_mut().zip(&out.points.inverse_radius) {
@@ -311,6 +324,7 @@ impl Default for DecodedRun {
             reach: [0.0; 3],
             reach_length: 0.0,
             may_be_wide: false,
+            are_splats: false,
             size: (0.0, 0.0),
             least_length: 0.0,
             radius_min: 0.0,

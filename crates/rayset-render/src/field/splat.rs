@@ -52,7 +52,7 @@ impl Splatter {
     ) -> SplatCounts {
         let mut counts = SplatCounts::default();
         let mut runs = batch.runs();
-        let limits = &BlockLimits::new();
+        let limits = &BlockLimits::new(self.kernel == Kernel::Splat);
         while !runs.is_empty() {
             // Runs that need double precision are added each by itself.
             let narrow = runs.iter().take_while(|item| item.run.wide.is_none()).count();
@@ -67,6 +67,7 @@ impl Splatter {
                 Kernel::WendlandC2 => self.with_kernel::<kernel::WendlandC2>(now, job),
                 Kernel::Epanechnikov => self.with_kernel::<kernel::Epanechnikov>(now, job),
                 Kernel::Triweight => self.with_kernel::<kernel::Triweight>(now, job),
+                Kernel::Splat => self.with_kernel::<kernel::Splat>(now, job),
             };
             runs = later;
         }

@@ -3,6 +3,7 @@
 
 use super::columns::MAP_COLUMNS;
 use super::counts::SplatCounts;
+use super::gaussian_splat::Chord;
 use super::kernel::Kernel;
 use super::packet::LANES;
 use super::run::DecodedRun;
@@ -70,6 +71,9 @@ fn add_samples<const GRADIENT: bool>(
     job: &mut SplatJob<'_>,
 ) {
     let weight = f64::from(run.points.weight[i]);
+    if kernel == Kernel::Splat {
+        return add_intervals::<GRADIENT>((run, i), pair, (lane, first, last), job);
+    }
     for sample in first..=last {
         let along = job.packet.sample_t(lane, sample) - pair.nearest;
         let s = (along * along + pair.distance_squared) * pair.per_square;
@@ -84,6 +88,39 @@ fn add_samples<const GRADIENT: bool>(
             let slope = kernel.slope_over_x(s) * weight * pair.of_slope;
             for channel in 0..3 {
                 let offset = along * pair.toward[channel] - pair.across[channel];
+                job.samples.gradient[channel][lane].0[at] += (slope * offset) as f32;
+            }
+        }
+    }
+}
+
+/// Adds a splat of a run to samples of a ray, from the first to the last.
+fn add_intervals<const GRADIENT: bool>(
+    (run, i): (&DecodedRun, usize),
+    pair: &WidePair,
+    (lane, first, last): (usize, u64, u64),
+    job: &mut SplatJob<'_>,
+) {
+    let inside = 1.0 - pair.distance_squared * pair.per_square;
+    let chord = Chord::new(run.points.weight[i], inside as f32);
+    let (scale, packet) = (pair.per_square.sqrt(), job.packet);
+    let per_step = 1.0 / packet.step_world();
+    for sample in first..=last {
+        let from = sample as f64 * packet.step[lane] - pair.nearest;
+        let to = from + packet.step[lane];
+        let depth = chord.depth_of_one((from * scale) as f32, (to * scale) as f32);
+        let weighted = (f64::from(depth) * per_step) as f32;
+        let at = (sample - job.slab.first) as usize;
+        job.samples.density[lane].0[at] += weighted;
+        for (rows, column) in job.samples.attribute.iter_mut().zip(&run.attribute) {
+            rows[lane].0[at] += weighted * column[i];
+        }
+        job.samples.label(lane, at, weighted, |label| run.label[label][i]);
+        if GRADIENT {
+            let slope = -f64::from(weighted) * pair.of_slope;
+            let front = from.max(-pair.half);
+            for channel in 0..3 {
+                let offset = front * pair.toward[channel] - pair.across[channel];
                 job.samples.gradient[channel][lane].0[at] += (slope * offset) as f32;
             }
         }

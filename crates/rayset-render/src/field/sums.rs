@@ -6,6 +6,7 @@ use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
 use super::columns::PointColumns;
+use super::gaussian_splat::Chord;
 use super::kernel::LaneKernel;
 use super::lane_ray::LaneRay;
 use super::packet::BLOCK_SAMPLES;
@@ -105,8 +106,27 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
                 hits &= hits - 1;
                 let inverse = if SHAPES { pairs.scale[i] } else { points.inverse_radius[i] };
                 let along = t * inverse - pairs.nearest[i];
+                if K::IS_SPLAT {
+                    let (weighted, front) = self.add_splat(ray, (along, inverse), pairs, (points, run), i);
+                    if ATTRIBUTES == ANY {
+                        add_attributes(weighted, run, usize::from(points.number[i]), samples, place);
+                    }
+                    if GRADIENT && SHAPES {
+                        for channel in 0..3 {
+                            let sum = (-weighted).mul_add(pairs.across[channel][i], across[channel]);
+                            across[channel] = (weighted * front).mul_add(pairs.toward[channel][i], sum);
+                        }
+                    } else if GRADIENT {
+                        along_ray = (weighted * -inverse).mul_add(front, along_ray);
+                        for channel in 0..3 {
+                            let slope = weighted * -(inverse * inverse);
+                            across[channel] = slope.mul_add(pairs.across[channel][i], across[channel]);
+                        }
+                    }
+                    continue;
+                }
                 let q = (-along).mul_add(along, f32x8::splat(simd, pairs.inside[i]));
-                let weighted = self.add_value(K::value(q), points, run, i);
+                let weighted = self.add_value(K::value(q), points.weight[i], (points, run), i);
                 if ATTRIBUTES == ANY {
                     add_attributes(weighted, run, usize::from(points.number[i]), samples, place);
                 }
@@ -137,8 +157,13 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
     /// Adds the value of one point to density and colour; returns it, weighted if attributes
     /// follow.
     #[inline(always)]
-    fn add_value(&mut self, value: f32x8<S>, points: &PointColumns, run: &DecodedRun, i: usize) -> f32x8<S> {
-        let weight = points.weight[i];
+    fn add_value(
+        &mut self,
+        value: f32x8<S>,
+        weight: f32,
+        (points, run): (&PointColumns, &DecodedRun),
+        i: usize,
+    ) -> f32x8<S> {
         if ATTRIBUTES == 0 {
             self.density = value.mul_add(weight, self.density);
             return value;
@@ -153,6 +178,26 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
             }
         }
         weighted
+    }
+}
+
+impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, ATTRIBUTES> {
+    /// Adds the mean extinctions of one splat in the intervals of the samples, which are `along` the
+    /// ray in units of the radius, of which a unit of length has `scale`. Returns them, and where
+    /// along the ray the intervals begin in the splat: what is seen of it is the side from there.
+    #[inline(always)]
+    fn add_splat(
+        &mut self,
+        ray: &LaneRay,
+        (along, scale): (f32x8<S>, f32),
+        pairs: &Pairs,
+        (points, run): (&PointColumns, &DecodedRun),
+        i: usize,
+    ) -> (f32x8<S>, f32x8<S>) {
+        let chord = Chord::new(points.weight[i], pairs.inside[i]);
+        let (from, to) = (along - ray.interval.0 * scale, along + ray.interval.1 * scale);
+        let extinction = chord.depth(from, to) * ray.per_step_world;
+        (self.add_value(extinction, 1.0, (points, run), i), chord.entered(from))
     }
 }
 

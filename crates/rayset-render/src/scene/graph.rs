@@ -117,7 +117,10 @@ impl CloudObject {
     pub fn largest_point_density(&self) -> f64 {
         let header = self.cloud.header();
         let weight = f64::from(header.weight.max().abs().max(header.weight.min().abs()));
-        if self.normalised {
+        if self.kernel == Kernel::Splat {
+            // An extinction: of an interval, more than this is as good as nothing.
+            weight / f64::from(header.radius.max())
+        } else if self.normalised {
             weight / (self.kernel.integral() * f64::from(header.radius.max()).powi(3))
         } else {
             weight
@@ -139,6 +142,10 @@ impl CloudObject {
     fn check(&self) -> Result<(), SceneError> {
         self.transfer.check()?;
         let header = self.cloud.header();
+        let absorbs = matches!(self.transfer.opacity, OpacityRule::Extinction(_));
+        if self.kernel == Kernel::Splat && (self.normalised || !absorbs) {
+            return Err(TransferError::Splats.into());
+        }
         match &self.transfer.color {
             ColorRule::Points if !header.has_color => Err(TransferError::Missing("colours").into()),
             ColorRule::Map { input: MapInput::Attribute(i), .. } if *i >= header.attributes.len() + 3 => {

@@ -176,6 +176,9 @@ pub enum TransferError {
     /// A palette is empty, too long, not ascending, or has values outside 0–1.
     #[error("a palette needs ascending places from 0 to 1 and colours from 0 to 1")]
     Stops,
+    /// Splats have another opacity rule, or are normalised.
+    #[error("the kernel `splat` needs the opacity rule `extinction`, and weights that are not normalised")]
+    Splats,
     /// The cloud has no such column.
     #[error("the cloud stores no {0}")]
     Missing(&'static str),

@@ -12,7 +12,7 @@ use super::procedural::ProceduralVolume;
 use super::program::{Action, Instruction, Key, Program, Purpose, used_materials};
 use super::transfer::{CompiledTransfer, Input};
 use super::unopened::Unopened;
-use crate::field::SimdLevel;
+use crate::field::{Kernel, SimdLevel};
 use crate::scene::{
     CloudObject, GridObject, LightKind, Lighting, Material, Node, Operator, Procedural, Scene, Shape,
 };
@@ -194,8 +194,11 @@ impl Compiler<'_> {
         let color = self.instructions[root].color;
         self.instructions[root].required = self.wanted_of_root(purpose, color, material.is_none());
         self.instructions[root].measures.1 = Measure::OpticalDepth;
+        let has_splats = self.instructions.iter().any(|instruction| {
+            matches!(&instruction.action, Action::Cloud(volume) if volume.shading.kernel == Kernel::Splat)
+        });
         for at in (0..=root).rev() {
-            self.pass_down(at);
+            self.pass_down(at, has_splats);
         }
         let reach = self.scene.unit_distance;
         let mut required = RequiredOutputs::default();
@@ -208,7 +211,7 @@ impl Compiler<'_> {
             }
         }
         let constants = Constants { color, material };
-        Program { instructions: self.instructions, required, reach, constants, simd: self.simd }
+        Program { instructions: self.instructions, required, reach, constants, simd: self.simd, has_splats }
     }
 
     fn wanted_of_root(
@@ -242,9 +245,14 @@ impl Compiler<'_> {
         }
     }
 
-    fn pass_down(&mut self, at: usize) {
+    fn pass_down(&mut self, at: usize, has_splats: bool) {
         let Instruction { required, made, measures, transfers, action, .. } = &mut self.instructions[at];
-        let sums = matches!(action, Action::Operator(Operator::Difference | Operator::Blend, _));
+        // Differences are the same in both measures; that of depths, which splats need, is slower.
+        let sums = match action {
+            Action::Operator(Operator::Blend, _) => true,
+            Action::Operator(Operator::Difference, _) => !has_splats,
+            _ => false,
+        };
         measures.0 = if sums || !transfers.is_empty() { Measure::Opacity } else { measures.1 };
         let reads_color = transfers.iter().any(|t| matches!(t.input, Input::Color(_)));
         let makes_color = transfers.iter().any(CompiledTransfer::makes_color);

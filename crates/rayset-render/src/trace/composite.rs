@@ -5,9 +5,9 @@ use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
 use super::cloud::Remaining;
-use super::math::{absorbed_of_eight, ln};
 use super::node_samples::{NodeSamples, Rows, each_lane};
 use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab, dispatch};
+use crate::math::{absorbed_of_eight, ln};
 
 /// What a ray has accumulated so far.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -351,13 +351,14 @@ impl<'p> GraphSamples<'p> {
                     if place > 0 {
                         out.unite(&other, required);
                     }
-                    if place < last {
+                    // Of two that are opaque, splats may be the more so.
+                    if place < last && !self.program.has_splats {
                         live = out.not_opaque(&live, measure);
                     }
                 }
                 Operator::Difference => {
                     if place > 0 {
-                        out.subtract(&other, required, self.program.reach as f32);
+                        out.subtract(&other, (measure, required), self.program.reach as f32);
                     }
                     if place < last {
                         live = out.not_empty(&live);

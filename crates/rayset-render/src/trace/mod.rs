@@ -26,7 +26,6 @@ mod knots;
 mod layers;
 mod march;
 mod march_bytes;
-mod math;
 pub mod memory;
 pub mod memory_plan;
 mod node_samples;

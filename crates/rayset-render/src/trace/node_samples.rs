@@ -4,8 +4,8 @@
 //! shading vector and the boundary of an object that is subtracted. So samples and lanes that
 //! cannot matter may hold any values, and skipping them changes no bit of the picture.
 
-use super::math::{exp_minus, ln};
 use crate::field::{LANES, SLAB_SAMPLES, SampleRow, SimdLevel, dispatch};
+use crate::math::{exp_minus, ln};
 use crate::scene::MAX_OPACITY;
 use rayset_base::geometry::DVec3;
 

@@ -1,10 +1,15 @@
 //! How operators combine what nodes yield at the samples of a slab.
 
 use super::node_samples::{
-    FAR, MATERIAL, NodeSamples, REFRACTIVE_INDEX, RequiredOutputs, ZERO, each_lane, normalize, numbers,
+    FAR, MATERIAL, Measure, NodeSamples, REFRACTIVE_INDEX, RequiredOutputs, ZERO, each_lane, normalize,
+    numbers,
 };
 use crate::field::{SLAB_SAMPLES, SampleRow};
+use crate::math::{absorbed, ln};
 use crate::scene::MAX_OPACITY;
+
+/// No difference of which the depth is computed is more opaque: the largest number below 1.
+const MOST: f32 = 1.0 - f32::EPSILON / 2.0;
 
 impl NodeSamples {
     /// Union with the next child.
@@ -60,12 +65,23 @@ impl NodeSamples {
         first.touched = common;
     }
 
-    /// Subtracts another. Its boundaries farther than `reach_world` do not affect shading.
-    pub(super) fn subtract(&mut self, other: &Self, required: RequiredOutputs, reach_world: f32) {
+    /// Subtracts another, of the same measure. Its boundaries farther than `reach_world` do not
+    /// affect shading.
+    pub(super) fn subtract(
+        &mut self,
+        other: &Self,
+        (measure, required): (Measure, RequiredOutputs),
+        reach_world: f32,
+    ) {
         each_lane(self.touched & other.touched, |lane| {
             let b = other.opacity[lane];
             for (a, &b) in self.opacity[lane].0.iter_mut().zip(&b.0) {
-                *a = (*a - b).max(0.0);
+                *a = match measure {
+                    Measure::Opacity => (*a - b).max(0.0),
+                    // Beside what is subtracted nothing changes, however much a sample absorbs.
+                    Measure::OpticalDepth if b == 0.0 => *a,
+                    Measure::OpticalDepth => -ln(1.0 - (absorbed(*a) - absorbed(b)).clamp(0.0, MOST)),
+                };
             }
             if !required.normal {
                 return;

@@ -83,6 +83,8 @@ pub(super) struct Program<P = Arc<Object>> {
     /// Outputs that all samples share.
     pub(super) constants: Constants,
     pub(super) simd: SimdLevel,
+    /// Whether some objects are splats, which absorb more than others may.
+    pub(super) has_splats: bool,
 }
 
 /// A node with its transform to the world and the index of its material.
@@ -94,10 +96,10 @@ impl Program<Unopened> {
     /// # Errors
     /// [`RenderError::Setting`] if a cloud or grid of the scene is not open in `paged`.
     pub(super) fn open(self, paged: &PagedFiles) -> Result<Program, RenderError> {
-        let Self { instructions, required, reach, constants, simd } = self;
+        let Self { instructions, required, reach, constants, simd, has_splats } = self;
         let instructions = instructions.into_iter().map(|instruction| instruction.open(paged));
         let instructions = instructions.collect::<Result<_, _>>()?;
-        Ok(Program { instructions, required, reach, constants, simd })
+        Ok(Program { instructions, required, reach, constants, simd, has_splats })
     }
 }
 

@@ -1,8 +1,8 @@
 //! Blinn's local model, two-sided, for many samples at a time.
 
-use super::math::power;
 use super::node_samples::{Constants, NodeSamples, numbers};
 use crate::field::{BLOCK_SAMPLES, Packet, SampleRow, Slab};
+use crate::math::power;
 use crate::scene::{Light, LightKind};
 use rayset_base::geometry::DVec3;
 

@@ -64,7 +64,7 @@ fn built(points: (Vec<[f64; 3]>, Vec<Vec<f32>>)) -> Arc<Cloud> {
 fn density_and_normals_of_ellipsoids_are_right_for_every_kernel_and_instruction_set() {
     let cloud = built(columns(3000, 4.0, 4.0, 1));
     assert!(cloud.header().shape.is_some());
-    for &kernel in Kernel::ALL {
+    for &kernel in Kernel::OF_DENSITIES {
         for simd in SimdLevel::available() {
             check_field(&cloud, 1.0, kernel, simd);
         }
@@ -88,7 +88,7 @@ fn pictures_of_ellipsoids_are_right_with_every_opacity_rule_and_under_any_transf
     );
     let rules = [OpacityRule::Clamp, OpacityRule::Extinction(1.5)];
     for (i, (rule, map)) in rules.iter().flat_map(|r| [(r, DAffine3::IDENTITY), (r, mirrored)]).enumerate() {
-        let mut object = look(&cloud, Kernel::ALL[i]);
+        let mut object = look(&cloud, Kernel::OF_DENSITIES[i]);
         object.normalised = i >= 2;
         object.transfer.opacity = rule.clone();
         let mut scene = scene_of(object.clone(), true);

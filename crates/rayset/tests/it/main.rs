@@ -65,6 +65,7 @@ mod sessions;
 mod shadows;
 mod skips;
 mod snapshots;
+mod splat_light;
 mod splats;
 mod steps;
 mod steps_by_place;

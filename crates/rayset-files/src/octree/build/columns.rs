@@ -5,7 +5,7 @@ use super::error::BuildError;
 use super::options::{BuildOptions, Rule, ShapeRule};
 use super::record::RecordLayout;
 use crate::octree::format::NAME_BYTES;
-use crate::points::{ColumnInfo, ColumnType, PointSource, SHAPE_COLUMNS, Schema};
+use crate::points::{ColumnInfo, ColumnType, PointSource, ROUND_RADIUS, SHAPE_COLUMNS, Schema};
 
 /// The columns of a record, and the columns of the sources from which they come.
 pub(super) struct Columns {
@@ -46,10 +46,14 @@ pub(super) struct ColorOrigin {
 }
 
 /// The rule for radii: the one in the options, otherwise the column `radius` if every source has
-/// one, otherwise [`Rule::Auto`].
+/// one, or [`ROUND_RADIUS`] if points are to be round and every source has that, otherwise
+/// [`Rule::Auto`].
 pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Rule {
     match &options.radius {
         Some(rule) => rule.clone(),
+        None if options.shape == ShapeRule::Round && all_have(sources, ROUND_RADIUS) => {
+            Rule::Attribute(ROUND_RADIUS.into())
+        }
         None if all_have(sources, "radius") => Rule::Attribute("radius".into()),
         None => Rule::Auto,
     }

@@ -37,7 +37,7 @@ const BOUNDS: [&str; 18] = [
     "max_b",
 ];
 const NEEDED_BOUNDS: usize = 12;
-const PACKED: [&str; 3] = ["packed_position", "packed_scale", "packed_color"];
+const PACKED: [&str; 4] = ["packed_position", "packed_scale", "packed_color", "packed_rotation"];
 
 /// Some properties of an element, read record by record.
 #[derive(Debug)]
@@ -83,7 +83,7 @@ impl<const N: usize> Records<N> {
 /// The Gaussians of a compressed PLY file.
 pub(in crate::points) struct CompressedPlyReader {
     chunks: Records<18>,
-    vertices: Records<3>,
+    vertices: Records<4>,
 }
 
 impl CompressedPlyReader {
@@ -103,7 +103,7 @@ impl CompressedPlyReader {
         let mut whole = [0.0; 18];
         whole[15..].fill(1.0);
         let chunks = Records::open(path, chunk, BOUNDS, whole)?;
-        let vertices = Records::open(path, vertex, PACKED, [0.0; 3])?;
+        let vertices = Records::open(path, vertex, PACKED, [0.0; 4])?;
         let what = format!("compressed {}", header.description);
         let schema = gaussian::schema(&what, ColorDepth::Unit, view_dependent, UP);
         Ok(FileSource::new(path, schema, Some(vertex.count), Self { chunks, vertices }))
@@ -112,7 +112,7 @@ impl CompressedPlyReader {
     /// The vertex that was read last, with the bounds of its chunk.
     fn gaussian(&self) -> Gaussian {
         let bounds = &self.chunks.values;
-        let [position, scale, color] = self.vertices.values.map(|packed| packed as u32);
+        let [position, scale, color, rotation] = self.vertices.values.map(|packed| packed as u32);
         let within = |first: usize, fractions: [f64; 3]| {
             [0, 1, 2].map(|axis| {
                 let (low, high) = (bounds[first + axis], bounds[first + 3 + axis]);
@@ -125,6 +125,7 @@ impl CompressedPlyReader {
             deviations: within(6, three(scale)).map(f64::exp),
             color: within(12, [byte(24), byte(16), byte(8)]).map(unit),
             opacity: byte(0),
+            rotation: smallest_three(rotation),
         }
     }
 }
@@ -160,6 +161,20 @@ fn elements(header: &Header) -> Result<(&Element, &Element, bool), String> {
 fn fraction(packed: u32, bits: u32) -> f64 {
     let largest = (1 << bits) - 1;
     f64::from(packed & largest) / f64::from(largest)
+}
+
+/// A quaternion without its largest component, which the uppermost two bits name, in the order w,
+/// x, y, z; the others are from −√½ to √½, in 10 bits each.
+fn smallest_three(packed: u32) -> [f64; 4] {
+    let others = [20, 10, 0].map(|shift| (fraction(packed >> shift, 10) - 0.5) * std::f64::consts::SQRT_2);
+    let largest = (1.0 - others.iter().map(|v| v * v).sum::<f64>()).max(0.0).sqrt();
+    let [a, b, c] = others;
+    match packed >> 30 {
+        0 => [a, b, c, largest],
+        1 => [largest, b, c, a],
+        2 => [b, largest, c, a],
+        _ => [b, c, largest, a],
+    }
 }
 
 /// Fractions of 11, 10 and 11 bits.

@@ -1,38 +1,54 @@
-//! What a Gaussian of a splat file becomes: a round point that absorbs as much light, on average
-//! over all directions.
+//! What a Gaussian of a splat file becomes: a point that is an ellipsoid, whose weight is its
+//! opacity.
 //!
 //! A splat is an ellipsoidal Gaussian whose projection is drawn with an opacity of
-//! `opacity·exp(−d²/2s²)` at the distance d from its centre (Kerbl et al., *3D Gaussian Splatting
-//! for Real-Time Radiance Field Rendering*, 2023). A point here has one radius, so the ellipsoid is
-//! replaced by the ball that has, on average over all directions, the same shadow: by Cauchy's
-//! theorem, that of the same surface area. A thin disc keeps its coverage this way; with the volume
-//! kept instead (the geometric mean of the deviations), surfaces would fall apart into specks.
+//! `opacity·exp(−d²/2)` at the distance of d deviations from its centre (Kerbl et al., *3D Gaussian
+//! Splatting for Real-Time Radiance Field Rendering*, 2023). A point has the same axes, as long as
+//! where that falls to 1/512: what the kernel `splat` takes them for.
 //!
-//! Its weight is the extinction at its centre. The line through the centre of a Gaussian of
-//! deviation s and peak w has an optical depth of w·s·√(2π), which has to be −ln(1 − opacity).
-//! Extinctions add up along a ray as opacities of splats multiply, so overlapping splats are as
-//! opaque as in their own renderers.
+//! Where points are to be round, the ellipsoid is replaced by the ball that has, on average over all
+//! directions, the same shadow: by Cauchy's theorem, that of the same surface area. A thin disc
+//! keeps its coverage this way; with the volume kept instead (the geometric mean of the deviations),
+//! surfaces would fall apart into specks.
 
-use std::f64::consts::TAU;
-
-use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, Schema};
+use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, ROUND_RADIUS, SHAPE_COLUMNS, Schema};
 use rayset_base::geometry::DVec3;
 
-/// Radius of a point, in deviations of its Gaussian: where splat renderers cut it off, and where
-/// the kernel `gaussian`, whose deviation is a third of its radius, ends.
-const CUT: f64 = 3.0;
-/// Splat renderers draw no splat more opaque than this.
-const MOST_OPAQUE: f64 = 0.99;
+/// A point ends where it would be drawn with one part in so many.
+const CUT: f64 = 512.0;
+/// The least radius of a point, in deviations: those that are never drawn have one, too.
+const LEAST_RADIUS: f64 = 0.5;
+/// No point is thinner than this part of its radius; flat splats have no thickness.
+const THINNEST: f64 = 1.0 / 1024.0;
+/// No splat is more opaque than this.
+const MOST_OPAQUE: f64 = 0.999;
 /// The zeroth spherical harmonic, ½·√(1/π).
 const HARMONIC: f64 = 0.282_094_791_773_878_14;
 /// Exponent of Thomsen's formula for the surface area of an ellipsoid, which is within 1.1 % of it.
 const THOMSEN: f64 = 1.6075;
 
 /// The columns of every splat file, in this order.
-const NAMES: [&str; COLUMNS] =
-    ["red", "green", "blue", "opacity", "radius", "weight", "scale_0", "scale_1", "scale_2"];
+const NAMES: [&str; COLUMNS] = [
+    "red",
+    "green",
+    "blue",
+    "opacity",
+    "radius",
+    "weight",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+    SHAPE_COLUMNS[0],
+    SHAPE_COLUMNS[1],
+    SHAPE_COLUMNS[2],
+    SHAPE_COLUMNS[3],
+    SHAPE_COLUMNS[4],
+    SHAPE_COLUMNS[5],
+    SHAPE_COLUMNS[6],
+    ROUND_RADIUS,
+];
 /// Number of columns that every splat file has; those of its own come behind.
-pub(super) const COLUMNS: usize = 9;
+pub(super) const COLUMNS: usize = 17;
 
 /// A Gaussian, decoded.
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +60,8 @@ pub(super) struct Gaussian {
     pub(super) opacity: f64,
     /// Standard deviations along its axes, in units of the coordinates.
     pub(super) deviations: [f64; 3],
+    /// The rotation of these axes, of any length: x, y, z and w of a quaternion.
+    pub(super) rotation: [f64; 4],
 }
 
 impl Gaussian {
@@ -65,10 +83,29 @@ impl Gaussian {
         match index {
             0..3 => self.color[index],
             3 => self.opacity,
-            4 => CUT * self.mean_deviation(),
-            5 => -(-self.opacity.min(MOST_OPAQUE)).ln_1p() / (TAU.sqrt() * self.mean_deviation()),
-            _ => self.deviations[index - 6],
+            4 => {
+                let [a, b, c] = self.deviations;
+                self.radius_in_deviations() * a.max(b).max(c)
+            }
+            5 => self.opacity.min(MOST_OPAQUE),
+            6..9 => self.deviations[index - 6],
+            9..12 => {
+                let [a, b, c] = self.deviations;
+                let deviation = self.deviations[index - 9];
+                let thinnest = THINNEST * a.max(b).max(c);
+                // What is no number stays none.
+                let deviation = if deviation < thinnest { thinnest } else { deviation };
+                self.radius_in_deviations() * deviation
+            }
+            12..16 => self.rotation[index - 12],
+            _ => self.radius_in_deviations() * self.mean_deviation(),
         }
+    }
+
+    /// How many deviations from its centre it ends.
+    fn radius_in_deviations(&self) -> f64 {
+        let square = 2.0 * (CUT * self.opacity.min(MOST_OPAQUE)).ln();
+        if square > LEAST_RADIUS * LEAST_RADIUS { square.sqrt() } else { LEAST_RADIUS }
     }
 
     /// Appends a point to a batch of the selected columns. Columns of the file's own are left to
@@ -106,11 +143,10 @@ pub(super) fn schema(what: &str, depth: ColorDepth, view_dependent: bool, up: DV
         y if y > 0.0 => "y up",
         _ => "z up",
     };
-    schema.description = format!("{what}; Gaussian splats as round points, {axis}");
-    let colors = if view_dependent { ", and colours do not change with the view" } else { "" };
-    schema.warnings = vec![format!(
-        "Gaussian splats are read as round points of the same mean shadow: their ellipsoids are lost{colors}"
-    )];
+    schema.description = format!("{what}; Gaussian splats, {axis}");
+    if view_dependent {
+        schema.warnings = vec!["Colours of Gaussian splats do not change with the view here".into()];
+    }
     schema.up = Some(up);
     schema
 }
@@ -125,33 +161,38 @@ mod tests {
     use super::*;
 
     fn of(deviations: [f64; 3]) -> Gaussian {
-        Gaussian { position: [0.0; 3], color: [0.0; 3], opacity: 0.75, deviations }
+        let rotation = [0.0, 0.0, 0.0, 1.0];
+        Gaussian { position: [0.0; 3], color: [0.0; 3], opacity: 0.75, deviations, rotation }
     }
 
     #[test]
     fn a_ball_keeps_its_size_and_a_disc_its_mean_shadow() {
+        let radius = (2.0 * (0.75 * CUT).ln()).sqrt();
         for size in [1e-300, 0.25, 1e300] {
             let ball = of([size; 3]);
-            assert!(
-                (ball.mean_deviation() / size - 1.0).abs() < 1e-12
-                    && ball.value(4) == 3.0 * ball.mean_deviation()
-            );
+            assert!((ball.mean_deviation() / size - 1.0).abs() < 1e-12);
+            for column in [4, 9, 10, 11, 16] {
+                assert!((ball.value(column) / (radius * size) - 1.0).abs() < 1e-12);
+            }
         }
         // A disc turned at random casts half its area.
         let disc = of([2.0, 0.0, 3.0]).mean_deviation();
         assert!((disc * disc / (0.5 * 2.0 * 3.0) - 1.0).abs() < 0.011, "{disc}");
-        assert_eq!([of([0.0; 3]).value(4), of([f64::INFINITY, 1.0, 1.0]).value(4)], [0.0, f64::INFINITY]);
+        assert_eq!([of([0.0; 3]).value(16), of([f64::INFINITY, 1.0, 1.0]).value(16)], [0.0, f64::INFINITY]);
     }
 
     #[test]
-    fn the_line_through_the_centre_of_a_point_is_as_opaque_as_its_splat() {
-        for (opacity, expected) in [(0.25, 0.25), (0.75, 0.75), (1.0, MOST_OPAQUE), (0.0, 0.0)] {
-            let point = Gaussian { opacity, ..of([0.5; 3]) };
-            let (deviation, steps) = (point.value(4) / CUT, 10_000);
-            let at = |i: i32| f64::from(i) / f64::from(steps) * 8.0;
-            let depth: f64 = (-steps..=steps).map(|i| point.value(5) * (-0.5 * at(i).powi(2)).exp()).sum();
-            let found = -(-depth * deviation * 8.0 / f64::from(steps)).exp_m1();
-            assert!((found - expected).abs() < 1e-9, "{found} for {opacity}");
+    fn points_end_where_they_are_drawn_with_a_512th_and_have_a_thickness() {
+        for (opacity, most) in [(0.01, 0.01), (0.5, 0.5), (1.0, MOST_OPAQUE), (7.0, MOST_OPAQUE)] {
+            let splat = Gaussian { opacity, ..of([2.0, 1.0, 0.0]) };
+            let end = splat.value(9) / 2.0;
+            assert!((most * (-0.5 * end * end).exp() * CUT - 1.0).abs() < 1e-12, "{opacity}");
+            assert_eq!((splat.value(10) * 2.0, splat.value(11)), (splat.value(9), splat.value(9) / 1024.0));
+            assert_eq!(splat.value(5), most);
         }
+        for opacity in [0.0, 1e-3, -1.0, f64::NAN] {
+            assert_eq!(Gaussian { opacity, ..of([1.0; 3]) }.value(9), LEAST_RADIUS);
+        }
+        assert!(of([1.0, f64::NAN, 1.0]).value(10).is_nan() && of([1.0, 1.0, -1.0]).value(11) > 0.0);
     }
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use super::gaussian::{self, Gaussian};
 use super::ksplat_header::{KsplatHeader, Level, Section};
 use super::ply::UP;
-use super::splat::floats;
+use super::splat::{float, floats};
 use crate::points::file_source::{FileSource, RecordReader, Request, unreadable};
 use crate::points::{ColorDepth, Place, PointBatch, ReadError};
 use rayset_base::numbers::half;
@@ -140,8 +140,10 @@ impl KsplatReader {
         let mut record = [0; 44];
         let record = &mut record[..self.header.level.record_bytes() as usize];
         self.records.read(path, section.records_at + section.record_stride * self.done, record)?;
-        let (position, deviations) = if self.header.level == Level::Full {
-            (floats(record), floats(&record[12..]))
+        let (position, deviations, rotation) = if self.header.level == Level::Full {
+            // w comes first.
+            let rotation = [28, 32, 36, 24].map(|at| float(&record[at..]));
+            (floats(record), floats(&record[12..]), rotation)
         } else {
             self.advance_bucket(path, section)?;
             let short = |at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
@@ -149,11 +151,13 @@ impl KsplatReader {
             (
                 [0, 1, 2].map(|axis| self.bucket.center[axis] + section.step * steps(axis)),
                 [0, 1, 2].map(|axis| f64::from(half::from_bits(short(6 + 2 * axis)))),
+                [14, 16, 18, 12].map(|at| f64::from(half::from_bits(short(at)))),
             )
         };
         self.done += 1;
         let [red, green, blue, opacity] = [4, 3, 2, 1].map(|back| f64::from(record[record.len() - back]));
-        Ok(Gaussian { position, color: [red, green, blue], opacity: opacity / 255.0, deviations })
+        let (color, opacity) = ([red, green, blue], opacity / 255.0);
+        Ok(Gaussian { position, color, opacity, deviations, rotation })
     }
 }
 

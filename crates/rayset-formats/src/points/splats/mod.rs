@@ -1,4 +1,4 @@
-//! Gaussian splats as round points: INRIA's PLY, PlayCanvas's compressed PLY, SPZ, `.splat` and
+//! Gaussian splats: INRIA's PLY, PlayCanvas's compressed PLY, SPZ, `.splat` and
 //! `.ksplat`.
 
 mod compressed_ply;

@@ -1,6 +1,7 @@
 //! Gaussian splats as PLY, in the layout of INRIA's trainer: colours as coefficients `f_dc_0` to
 //! `f_dc_2` of the spherical harmonics, `opacity` before the logistic function, and the logarithms
-//! of the deviations in `scale_0` to `scale_2`, of which flat splats (2DGS) have two.
+//! of the deviations in `scale_0` to `scale_2`, of which flat splats (2DGS) have two. Rotations are in `rot_0` to
+//! `rot_3`.
 
 use std::path::Path;
 
@@ -12,8 +13,10 @@ use rayset_base::geometry::DVec3;
 
 /// Gaussians decoded at a time.
 const CHUNK: usize = 4096;
-/// Columns of the file that a Gaussian is made of. The last may be missing.
+/// Columns of the file that a Gaussian is made of, besides its rotation. The last may be missing.
 const PARTS: [&str; 7] = ["f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
+/// Its rotation: w, x, y and z of a quaternion, of any length. All four or none.
+const ROTATION: [&str; 4] = ["rot_0", "rot_1", "rot_2", "rot_3"];
 /// Up in files of INRIA's trainer, whose cameras look along z with y down, if a file does not say
 /// otherwise.
 pub(super) const UP: DVec3 = DVec3::NEG_Y;
@@ -21,8 +24,11 @@ pub(super) const UP: DVec3 = DVec3::NEG_Y;
 /// The Gaussians of a PLY file.
 pub(in crate::points) struct GaussianPlyReader {
     file: FileSource<PlyReader>,
-    /// Indices of [`PARTS`] in the file's schema.
+    /// Indices of [`PARTS`], and of [`ROTATION`] if the file has it, in its schema.
     parts: Vec<usize>,
+    /// Number of deviations.
+    deviations: usize,
+    has_rotation: bool,
     /// Indices of the further columns in the file's schema.
     others: Vec<usize>,
     /// Of the file: the parts, then the selected ones of the others.
@@ -42,8 +48,14 @@ impl GaussianPlyReader {
     pub(in crate::points) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let file = PlyReader::open(path)?;
         let names: Vec<&str> = file.schema().names().collect();
-        let parts: Vec<usize> =
-            PARTS.iter().filter_map(|part| names.iter().position(|name| name == part)).collect();
+        let place = |part: &&str| names.iter().position(|name| name == part);
+        let mut parts: Vec<usize> = PARTS.iter().filter_map(place).collect();
+        let deviations = parts.len() - 4;
+        let rotation: Vec<usize> = ROTATION.iter().filter_map(place).collect();
+        let has_rotation = rotation.len() == ROTATION.len();
+        if has_rotation {
+            parts.extend(rotation);
+        }
         let is_harmonic = |name: &str| name.starts_with("f_rest_");
         // Normals are written as zeros.
         let is_left_out = |name: &str| is_harmonic(name) || matches!(name, "nx" | "ny" | "nz");
@@ -56,7 +68,7 @@ impl GaussianPlyReader {
         let mut schema = gaussian::schema(&what, ColorDepth::Unit, view_dependent, up);
         schema.columns.extend(others.iter().map(|&index| file.schema().columns[index].clone()));
         let count = file.count_hint();
-        let reader = Self { file, parts, others, raw: PointBatch::default() };
+        let reader = Self { file, parts, deviations, has_rotation, others, raw: PointBatch::default() };
         Ok(FileSource::new(path, schema, count, reader))
     }
 
@@ -64,12 +76,18 @@ impl GaussianPlyReader {
     fn gaussian(&self, index: usize) -> Gaussian {
         let part = |part: usize| self.raw.columns[part].get(index);
         // A flat splat has no third deviation.
-        let deviation = |axis: usize| if 4 + axis < self.parts.len() { part(4 + axis).exp() } else { 0.0 };
+        let deviation = |axis: usize| if axis < self.deviations { part(4 + axis).exp() } else { 0.0 };
+        let first = 4 + self.deviations;
+        let rotation = match self.has_rotation {
+            true => [1, 2, 3, 0].map(|component| part(first + component)),
+            false => [0.0, 0.0, 0.0, 1.0],
+        };
         Gaussian {
             position: self.raw.position[index],
             color: [0, 1, 2].map(|channel| color_of_harmonic(part(channel))),
             opacity: 1.0 / (1.0 + (-part(3)).exp()),
             deviations: [0, 1, 2].map(deviation),
+            rotation,
         }
     }
 }

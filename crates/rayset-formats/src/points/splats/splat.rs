@@ -87,6 +87,8 @@ impl RecordReader for SplatReader {
                 deviations: floats(&record[12..]),
                 color: [24, 25, 26].map(|at| f64::from(record[at])),
                 opacity: f64::from(record[27]) / 255.0,
+                // w comes first.
+                rotation: [29, 30, 31, 28].map(|at| (f64::from(record[at]) - 128.0) / 128.0),
             };
             gaussian.append(request.selected, batch);
         }

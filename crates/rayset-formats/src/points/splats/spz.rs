@@ -22,8 +22,8 @@ use rayset_store::storage::input_file::InputFile;
 const CHUNK: usize = 1024;
 /// Attributes that points are made of, the first of the file: positions, opacities, colours,
 /// deviations.
-const ATTRIBUTES: usize = 4;
-const NAMES: [&str; ATTRIBUTES] = ["positions", "opacities", "colours", "scales"];
+const ATTRIBUTES: usize = 5;
+const NAMES: [&str; ATTRIBUTES] = ["positions", "opacities", "colours", "scales", "rotations"];
 /// Coordinates are right, up and back, as in OpenGL.
 const UP: DVec3 = DVec3::Y;
 /// Colours are stored with this factor on the coefficient of the zeroth spherical harmonic.
@@ -79,8 +79,8 @@ impl SpzReader {
                 return Err(fail(0, "an SPZ file of version 4 in gzip; expected it as it is".into()));
             }
             let bytes = file.length().map_err(ReadError::io(path))?;
-            let [positions, alphas, colors, scales, _, _] = header.streams(path, &mut file, bytes)?;
-            Layout::Streams(with_windows(path, &mut file, [positions, alphas, colors, scales])?)
+            let [positions, alphas, colors, scales, rotations, _] = header.streams(path, &mut file, bytes)?;
+            Layout::Streams(with_windows(path, &mut file, [positions, alphas, colors, scales, rotations])?)
         } else {
             Layout::Planar(packing)
         };
@@ -110,7 +110,7 @@ impl SpzReader {
 
     /// Gaussian `index` of the buffers.
     fn gaussian(&self, index: usize) -> Gaussian {
-        let [positions, alphas, colors, scales] = &self.buffers;
+        let [positions, alphas, colors, scales, rotations] = &self.buffers;
         let position = match self.header.fractional_bits {
             Some(bits) => {
                 let p = &positions[9 * index..][..9];
@@ -134,8 +134,35 @@ impl SpzReader {
             color: [0, 1, 2].map(color),
             opacity: f64::from(alphas[index]) / 255.0,
             deviations: [0, 1, 2].map(|axis| (f64::from(scales[3 * index + axis]) / 16.0 - 10.0).exp()),
+            rotation: if self.header.version >= 3 {
+                smallest_three(&rotations[4 * index..])
+            } else {
+                first_three(&rotations[3 * index..])
+            },
         }
     }
+}
+
+/// x, y and z of a quaternion, in a byte each, whose w is not negative.
+fn first_three(bytes: &[u8]) -> [f64; 4] {
+    let [x, y, z] = [0, 1, 2].map(|axis| f64::from(bytes[axis]) / 127.5 - 1.0);
+    [x, y, z, (1.0 - x * x - y * y - z * z).max(0.0).sqrt()]
+}
+
+/// A quaternion without its largest component, which the uppermost two bits name, in the order x, y,
+/// z, w. The others have a sign and nine bits each, up to √½, the last of them lowest.
+fn smallest_three(bytes: &[u8]) -> [f64; 4] {
+    let packed = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+    let largest = (packed >> 30) as usize;
+    let (mut rotation, mut left) = ([0.0; 4], packed);
+    for component in (0..4).rev().filter(|component| *component != largest) {
+        let size = f64::from(left & 0x1ff) / 511.0 * std::f64::consts::FRAC_1_SQRT_2;
+        rotation[component] = if left & 0x200 == 0 { size } else { -size };
+        left >>= 10;
+    }
+    let squares: f64 = rotation.iter().map(|v| v * v).sum();
+    rotation[largest] = (1.0 - squares).max(0.0).sqrt();
+    rotation
 }
 
 /// The streams with the windows in bytes that unpacking them needs.

@@ -52,8 +52,8 @@ fn below_curve(points: &[(f64, f64)]) -> Option<LeastAbsorption> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::ln;
     use crate::trace::knots::Curve;
-    use crate::trace::math::ln;
     use proptest::prelude::*;
 
     /// The optical depth per unit distance that a picture has at a density, by way of its opacity.

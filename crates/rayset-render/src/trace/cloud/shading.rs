@@ -8,9 +8,9 @@ use crate::field::{
     AttributeColumns, Channels, FieldSamples, Kernel, LANES, LeastAbsorption, RunDecoder, SLAB_SAMPLES,
     SampleRow, SimdLevel, dispatch,
 };
+use crate::math::{absorbed, ln};
 use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule};
 use crate::trace::knots::Curve;
-use crate::trace::math::{absorbed, ln};
 use crate::trace::node_samples::{
     MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, ZERO, above, each_lane,
     first_samples, normalize, numbers, samples_within,
@@ -195,8 +195,10 @@ impl CloudShading {
         match (&self.opacity, measure) {
             (OpacityRule::Extinction(kappa), _) => {
                 let per_density = (kappa * self.unit_distance) as f32;
+                // Splats absorb in an interval what they absorb, however short it is.
+                let most = if self.kernel == Kernel::Splat { f32::MAX } else { MAX_OPTICAL_DEPTH };
                 dispatch!(simd.level(), _simd => {
-                    optical_depth_of_extinction(lanes, density, per_density, rows);
+                    optical_depth_of_extinction(lanes, density, (per_density, most), rows);
                     if measure == Measure::Opacity {
                         opacity_of_optical_depth(lanes, rows);
                     }
@@ -353,13 +355,18 @@ fn to_world(
 // instruction sets.
 
 #[inline(always)]
-fn optical_depth_of_extinction(mut lanes: u64, density: &Rows, per_density: f32, rows: &mut Rows) {
+fn optical_depth_of_extinction(
+    mut lanes: u64,
+    density: &Rows,
+    (per_density, most): (f32, f32),
+    rows: &mut Rows,
+) {
     while lanes != 0 {
         let lane = lanes.trailing_zeros() as usize;
         lanes &= lanes - 1;
         for (t, &d) in rows[lane].0.iter_mut().zip(&density[lane].0) {
             // A density that is negative or NaN absorbs nothing.
-            *t = if d > 0.0 { (per_density * d).min(MAX_OPTICAL_DEPTH) } else { 0.0 };
+            *t = if d > 0.0 { (per_density * d).min(most) } else { 0.0 };
         }
     }
 }

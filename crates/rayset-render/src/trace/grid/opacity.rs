@@ -6,8 +6,8 @@
 use fearless_simd::f32x16;
 use fearless_simd::prelude::*;
 
+use crate::math::{exp_minus, ln};
 use crate::scene::{MAX_OPACITY, OpacityRule};
-use crate::trace::math::{exp_minus, ln};
 use crate::trace::node_samples::{MAX_OPTICAL_DEPTH, Measure};
 use rayset_base::bytes::list_bytes;
 use rayset_files::grid::format::GridHeader;

@@ -6,8 +6,8 @@ use fearless_simd::{Simd, f64x8};
 use super::solid_rows::{SolidRows, length};
 use super::volume::{Eight, ProceduralRequest, ProceduralVolume, replace};
 use crate::field::BLOCK_SAMPLES;
+use crate::math::ln;
 use crate::scene::{MAX_OPACITY, Pattern, Solid};
-use crate::trace::math::ln;
 use crate::trace::node_samples::{MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, numbers};
 use rayset_base::geometry::DVec3;
 

@@ -4,8 +4,8 @@ use std::any::Any;
 use std::sync::Arc;
 
 use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab, dispatch};
+use crate::math::ln;
 use crate::scene::{MAX_OPACITY, Procedural, ProceduralSample, Solid, largest_stretch};
-use crate::trace::math::ln;
 use crate::trace::node_samples::{
     Live, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, numbers,
 };

@@ -16,11 +16,12 @@ use std::sync::Arc;
 use self::sample::{Sample, combine};
 use self::shared::SharedShadows;
 use self::steps::Place;
-use crate::field::AttributeColumns;
 use crate::field::reference::{ReferenceField, ReferenceSample};
+use crate::field::{AttributeColumns, Kernel};
 use crate::scene::{
     Camera, CameraError, Channel, CloudObject, ColorRule, GridObject, LightKind, Lighting, MAX_OPACITY,
-    MOST_ATTRIBUTES, MapInput, Material, Node, Operator, Procedural, RenderSettings, Scene, Shape, Transfer,
+    MOST_ATTRIBUTES, MapInput, Material, Node, OpacityRule, Operator, Procedural, RenderSettings, Scene,
+    Shape, Transfer,
 };
 use rayset_base::geometry::{DAffine3, DMat3, DVec3, Ray};
 use rayset_store::container::ScanError;
@@ -48,6 +49,15 @@ pub trait PointField {
     /// cloud's file, colours first, numbered as by [`AttributeColumns`]; empty if no point reaches
     /// the position.
     fn sample(&self, q: DVec3, purpose: Purpose) -> ReferenceSample;
+}
+
+/// A sample on a ray.
+#[derive(Clone, Copy)]
+struct Position<'r> {
+    q: DVec3,
+    ray: &'r Ray,
+    /// The part of the ray that the sample stands for, by distances.
+    interval: (f64, f64),
 }
 
 /// The source of a cloud's field.
@@ -200,9 +210,10 @@ impl<'a> ReferenceRenderer<'a> {
         let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), (ray, purpose));
         let mut transmittance = 1.0;
         let samples = steps.samples(ray, sample_offset, &self.scene.root.bounds());
-        for Place { t, step, .. } in samples.into_iter().take_while(|sample| sample.t < end) {
+        for place in samples.into_iter().take_while(|sample| sample.t < end) {
+            let Place { t, step, .. } = place;
             let q = ray.at(t);
-            let sample = self.sample(&root, q);
+            let sample = self.sample(&root, Position { q, ray, interval: place.interval() });
             let passed = self.passed(&sample, step);
             if passed >= 1.0 {
                 continue;
@@ -218,7 +229,8 @@ impl<'a> ReferenceRenderer<'a> {
 
     /// Transmittance of one sample.
     fn passed(&self, sample: &Sample, step: f64) -> f64 {
-        let extinction = -(1.0 - sample.opacity.min(MAX_OPACITY)).ln() / self.scene.unit_distance;
+        // All but splats have no more than the largest opacity.
+        let extinction = -(1.0 - sample.opacity.min(1.0 - f64::EPSILON)).ln() / self.scene.unit_distance;
         (-extinction * step).exp()
     }
 
@@ -264,9 +276,10 @@ impl<'a> ReferenceRenderer<'a> {
         SeenNode { seen, local_from_world, transfers: &node.transfers, material }
     }
 
-    fn sample(&self, node: &SeenNode<'_>, q: DVec3) -> Sample {
+    fn sample(&self, node: &SeenNode<'_>, position: Position<'_>) -> Sample {
+        let q = position.q;
         let mut sample = match &node.seen {
-            ReachableNode::Cloud { object, field } => self.sample_cloud(node, object, field, q),
+            ReachableNode::Cloud { object, field } => self.sample_cloud(node, object, field, position),
             ReachableNode::Grid { object, voxels } => self.sample_grid(node, object, voxels, q),
             ReachableNode::Procedural(field) => {
                 let s = field.sample(node.local_from_world.transform_point3(q));
@@ -281,7 +294,8 @@ impl<'a> ReferenceRenderer<'a> {
                 Sample { opacity, color: s.color, normal, boundary, material, attributes }
             }
             ReachableNode::Operator(operator, children) => {
-                let samples: Vec<Sample> = children.iter().map(|child| self.sample(child, q)).collect();
+                let samples: Vec<Sample> =
+                    children.iter().map(|child| self.sample(child, position)).collect();
                 combine(*operator, &samples, self.scene.unit_distance)
             }
         };
@@ -308,9 +322,21 @@ impl<'a> ReferenceRenderer<'a> {
         sample
     }
 
-    fn sample_cloud(&self, node: &SeenNode<'_>, object: &CloudObject, field: &Along<'_>, q: DVec3) -> Sample {
-        let q = node.local_from_world.transform_point3(q);
+    fn sample_cloud(
+        &self,
+        node: &SeenNode<'_>,
+        object: &CloudObject,
+        field: &Along<'_>,
+        position: Position<'_>,
+    ) -> Sample {
+        let q = node.local_from_world.transform_point3(position.q);
+        let are_splats = object.kernel == Kernel::Splat;
         let s = match field {
+            Along::Near(field) if are_splats => {
+                let origin = node.local_from_world.transform_point3(position.ray.origin);
+                let direction = node.local_from_world.transform_vector3(position.ray.direction);
+                field.interval(&Ray { origin, direction }, position.interval)
+            }
             Along::Near(field) => field.sample(q),
             Along::Given(field, purpose) => field.sample(q, *purpose),
             Along::Nothing => ReferenceSample::default(),
@@ -330,7 +356,10 @@ impl<'a> ReferenceRenderer<'a> {
         let unit = self.scene.unit_distance;
         let level = object.transfer.opacity.boundary_density(unit);
         let (normal, boundary) = surface(node, level - s.density, -s.gradient);
-        let opacity = object.transfer.opacity.opacity(s.density, unit);
+        let opacity = match &object.transfer.opacity {
+            OpacityRule::Extinction(kappa) if are_splats => -(-kappa * s.density * unit).exp_m1(),
+            rule => rule.opacity(s.density, unit),
+        };
         Sample { opacity, color, normal, boundary, material: node.material.to_array(), attributes }
     }
 

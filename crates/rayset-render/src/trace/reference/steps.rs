@@ -35,6 +35,14 @@ pub(super) struct Place {
     pub(super) number: u64,
 }
 
+impl Place {
+    /// The interval of the ray that it stands for.
+    pub(super) fn interval(&self) -> (f64, f64) {
+        let from = self.number as f64 * self.step;
+        (from, from + self.step)
+    }
+}
+
 /// Steps of δ₀·2^k.
 struct ByPlace {
     /// δ₀ and L, world space.

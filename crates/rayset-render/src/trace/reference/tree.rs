@@ -2,7 +2,7 @@
 
 use super::shared::SharedShadows;
 use super::steps::Place;
-use super::{Purpose, ReferencePixel, ReferenceRenderer, ReferenceSteps};
+use super::{Position, Purpose, ReferencePixel, ReferenceRenderer, ReferenceSteps};
 use crate::scene::{Camera, CameraError, Lighting, Material, RenderSettings};
 use rayset_base::geometry::{DAffine3, DVec3, Ray};
 
@@ -92,9 +92,10 @@ impl ReferenceRenderer<'_> {
         let none = Place { t: -f64::INFINITY, step: steps.coarsest_world(), number: 0 };
         let last = samples.last().copied().unwrap_or(none);
         let beyond = Place { t: (last.t + last.step).max(0.0), ..last };
-        for Place { t, step, number } in samples.into_iter().chain([beyond]) {
+        for place in samples.into_iter().chain([beyond]) {
+            let Place { t, step, number } = place;
             let q = ray.at(t);
-            let sample = self.sample(&root, q);
+            let sample = self.sample(&root, Position { q, ray, interval: place.interval() });
             if turns {
                 let is_inside = sample.opacity > 0.0 && sample.boundary < 0.0;
                 let here = if is_inside { sample.material[5] } else { 1.0 };

@@ -7,7 +7,7 @@ use fearless_simd::{f32x8, i32x8};
 /// ln x for positive x; exactly 0 at 1. From 2⁻¹² to 1 its error, as a relative error of 1 − x, is
 /// below 1e-6.
 #[inline(always)]
-pub(super) fn ln(x: f32) -> f32 {
+pub(crate) fn ln(x: f32) -> f32 {
     let bits = x.to_bits();
     let mantissa = f32::from_bits(bits & 0x007f_ffff | 0x3f80_0000);
     let high = mantissa > std::f32::consts::SQRT_2;
@@ -22,7 +22,7 @@ pub(super) fn ln(x: f32) -> f32 {
 
 /// exp(−x) for x ≥ 0, absolute error below 2e-7; exactly 1 at 0.
 #[inline(always)]
-pub(super) fn exp_minus(x: f32) -> f32 {
+pub(crate) fn exp_minus(x: f32) -> f32 {
     let z = (x * std::f32::consts::LOG2_E).min(126.0);
     let whole = z as i32;
     // 2^−f for f in [0, 1): Taylor about ½ in f − ½, times 2^−½.
@@ -40,7 +40,7 @@ pub(super) fn exp_minus(x: f32) -> f32 {
 
 /// 1 − exp(−x) for x ≥ 0, relative error below 3e-7 however small x is; exactly 0 at 0.
 #[inline(always)]
-pub(super) fn absorbed(x: f32) -> f32 {
+pub(crate) fn absorbed(x: f32) -> f32 {
     let series = x
         * (1.0
             - x * (1.0 / 2.0 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0 - x * (1.0 / 720.0))))));
@@ -50,7 +50,7 @@ pub(super) fn absorbed(x: f32) -> f32 {
 /// [`absorbed`] of eight numbers at a time, with the same bits. In vectors by hand: the compiler
 /// makes none of a loop over eight numbers.
 #[inline(always)]
-pub(super) fn absorbed_of_eight<S: Simd>(simd: S, x: f32x8<S>) -> f32x8<S> {
+pub(crate) fn absorbed_of_eight<S: Simd>(simd: S, x: f32x8<S>) -> f32x8<S> {
     let number = |v: f32| f32x8::splat(simd, v);
     let mut series = number(1.0 / 120.0) - x * (1.0 / 720.0);
     for factor in [1.0 / 24.0, 1.0 / 6.0, 1.0 / 2.0, 1.0] {
@@ -82,7 +82,7 @@ fn exp_minus_of_eight<S: Simd>(simd: S, x: f32x8<S>) -> f32x8<S> {
 
 /// x^n for x from 0 to 1 and n ≥ 0.
 #[inline(always)]
-pub(super) fn power(x: f32, n: f32) -> f32 {
+pub(crate) fn power(x: f32, n: f32) -> f32 {
     if n == 0.0 || x >= 1.0 {
         1.0
     } else if x < f32::MIN_POSITIVE {
