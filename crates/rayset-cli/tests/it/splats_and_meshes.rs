@@ -22,7 +22,10 @@ fn a_build_says_what_of_splats_is_lost_and_keeps_their_opacity_and_deviations() 
     let (said, remarks) =
         build(folder.path(), "splats/v4.spz", &["--attributes", "opacity,scale_0,scale_1,scale_2"]);
     assert!(said.contains("c.rset: 40 points"), "{said}");
-    assert!(remarks.contains("v4.spz: Gaussian splats are read as round points"), "{remarks}");
+    assert!(
+        remarks.contains("v4.spz: Colours of Gaussian splats do not change with the view here"),
+        "{remarks}"
+    );
 }
 
 #[test]

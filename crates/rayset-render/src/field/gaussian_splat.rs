@@ -13,8 +13,8 @@
 //!
 //! H(s) = asinh(s/√(2w)) + ∫₀ˢ g(w + s²/2) ds / √(2π),
 //!
-//! of which what is left of the light is right to 6e-5. What ends at z = 1/512 absorbs at most 1/512 less of a ray than what
-//! does not end.
+//! of which what is left of the light is right to 6e-5. What ends at z = 1/512 absorbs at most
+//! 1/512 less of a ray than what does not end.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, i32x8};
@@ -33,7 +33,7 @@ const SMOOTH: [f32; TERMS] =
 const TERMS: usize = 6;
 /// 1/(2ᵐ(2m + 1)√(2π)), of which the term m of g is multiplied in the integral.
 const INTEGRATED: [f32; TERMS] =
-    [0.398_942_3, 0.066_490_38, 0.019_947_114, 0.007_123_970, 0.002_770_433_0, 0.001_133_358_9];
+    [0.398_942_3, 0.066_490_38, 0.019_947_114, 0.007_123_97, 0.002_770_433, 0.001_133_358_9];
 
 /// ln(512·o) of an opacity o: half the square of the radius, in deviations. Zero for splats that
 /// absorb too little, or nothing at all.

@@ -48,7 +48,8 @@ pub struct DecodedRun {
     pub(super) are_splats: bool,
     /// The longest edge of the bounds of the positions, and the largest radius.
     pub(super) size: (f64, f64),
-    /// By which it is found out whether it needs double precision: see [`least_length`].
+    /// By which it is found out whether it needs double precision: see
+    /// [`RunDecoder::least_length`].
     least_length: f64,
     /// No more than the radius of any point.
     pub(super) radius_min: f32,
@@ -153,6 +154,15 @@ impl RunDecoder {
         }
     }
 
+    /// The length of which a run's coordinates must be known to a small part: its least radius, or
+    /// less where points are very thin. Of splats, errors of a thousandth of a deviation are not
+    /// seen.
+    fn least_length(&self, radius: f64, detail: f64) -> f64 {
+        let (radius, finest) =
+            if self.are_splats { (8.0 * radius, 4.0 * FINEST_IN_F32) } else { (radius, FINEST_IN_F32) };
+        radius.min(finest * detail)
+    }
+
     /// Bytes that it takes besides itself.
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(&*self.linear_from_srgb) + self.columns.bytes()
@@ -167,7 +177,7 @@ impl RunDecoder {
         out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
         out.reach_length = out.reach[0] + out.reach[1] + out.reach[2];
         out.size = (bounds.size().max_element(), radius_max);
-        let least = least_length(f64::from(header.radius.min()), f64::from(header.details().0));
+        let least = self.least_length(f64::from(header.radius.min()), f64::from(header.details().0));
         out.may_be_wide = is_wide(out.size, least, step);
         out.has_plates = false;
         out.are_splats = self.are_splats;
@@ -209,11 +219,11 @@ impl RunDecoder {
         out.pad_last_chunk();
         let one_place = out.bound_chunks(simd);
         self.decode_weights(run, header, out);
-        out.least_length = radius_min;
+        out.least_length = self.least_length(radius_min, f64::INFINITY);
         out.points.map.clear();
         if header.shape.is_some() {
             let detail = self.decode_shapes(run, header, level, out);
-            out.least_length = least_length(radius_min, detail);
+            out.least_length = self.least_length(radius_min, detail);
         }
         self.decode_attributes(run, header, out);
         out.radius_min = radius_min as f32 * 0.9999;
@@ -287,12 +297,6 @@ impl RunDecoder {
 pub(super) fn normalised_weight(weight: f32, factor: f64, inverse_radius: f32, volume: f32) -> f32 {
     let of_ball = f64::from(weight) * factor * f64::from(inverse_radius).powi(3);
     (of_ball / f64::from(volume)).clamp(-1e30, 1e30) as f32
-}
-
-/// The length of which a run's coordinates must be known to a small part: its least radius, or less
-/// where points are very thin.
-fn least_length(radius: f64, detail: f64) -> f64 {
-    radius.min(FINEST_IN_F32 * detail)
 }
 
 /// Whether points within bounds of a longest edge need double precision, with their largest and

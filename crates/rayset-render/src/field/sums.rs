@@ -107,21 +107,11 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
                 let inverse = if SHAPES { pairs.scale[i] } else { points.inverse_radius[i] };
                 let along = t * inverse - pairs.nearest[i];
                 if K::IS_SPLAT {
-                    let (weighted, front) = self.add_splat(ray, (along, inverse), pairs, (points, run), i);
+                    let of = (pairs, points, run, i);
+                    let slopes = (&mut along_ray, &mut across);
+                    let weighted = self.add_splat::<SHAPES>(ray, (along, inverse), of, slopes);
                     if ATTRIBUTES == ANY {
                         add_attributes(weighted, run, usize::from(points.number[i]), samples, place);
-                    }
-                    if GRADIENT && SHAPES {
-                        for channel in 0..3 {
-                            let sum = (-weighted).mul_add(pairs.across[channel][i], across[channel]);
-                            across[channel] = (weighted * front).mul_add(pairs.toward[channel][i], sum);
-                        }
-                    } else if GRADIENT {
-                        along_ray = (weighted * -inverse).mul_add(front, along_ray);
-                        for channel in 0..3 {
-                            let slope = weighted * -(inverse * inverse);
-                            across[channel] = slope.mul_add(pairs.across[channel][i], across[channel]);
-                        }
                     }
                     continue;
                 }
@@ -182,22 +172,36 @@ impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, A
 }
 
 impl<S: Simd, const GRADIENT: bool, const ATTRIBUTES: usize> Sums<S, GRADIENT, ATTRIBUTES> {
-    /// Adds the mean extinctions of one splat in the intervals of the samples, which are `along` the
-    /// ray in units of the radius, of which a unit of length has `scale`. Returns them, and where
-    /// along the ray the intervals begin in the splat: what is seen of it is the side from there.
+    /// Adds the mean extinctions of one splat in the intervals of the samples, which are `along`
+    /// the ray in radii, of which a unit of length has `scale`, and returns them. For gradients,
+    /// they are multiplied by the slope where the intervals begin in the splat: the side that is
+    /// seen.
     #[inline(always)]
-    fn add_splat(
+    fn add_splat<const SHAPES: bool>(
         &mut self,
         ray: &LaneRay,
         (along, scale): (f32x8<S>, f32),
-        pairs: &Pairs,
-        (points, run): (&PointColumns, &DecodedRun),
-        i: usize,
-    ) -> (f32x8<S>, f32x8<S>) {
+        (pairs, points, run, i): (&Pairs, &PointColumns, &DecodedRun, usize),
+        (along_ray, across): (&mut f32x8<S>, &mut [f32x8<S>; 3]),
+    ) -> f32x8<S> {
         let chord = Chord::new(points.weight[i], pairs.inside[i]);
         let (from, to) = (along - ray.interval.0 * scale, along + ray.interval.1 * scale);
         let extinction = chord.depth(from, to) * ray.per_step_world;
-        (self.add_value(extinction, 1.0, (points, run), i), chord.entered(from))
+        let weighted = self.add_value(extinction, 1.0, (points, run), i);
+        let front = chord.entered(from);
+        if GRADIENT && SHAPES {
+            for channel in 0..3 {
+                let sum = (-weighted).mul_add(pairs.across[channel][i], across[channel]);
+                across[channel] = (weighted * front).mul_add(pairs.toward[channel][i], sum);
+            }
+        } else if GRADIENT {
+            *along_ray = (weighted * -scale).mul_add(front, *along_ray);
+            for channel in 0..3 {
+                let slope = weighted * -(scale * scale);
+                across[channel] = slope.mul_add(pairs.across[channel][i], across[channel]);
+            }
+        }
+        weighted
     }
 }
 

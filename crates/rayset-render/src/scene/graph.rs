@@ -139,6 +139,14 @@ impl CloudObject {
         header.bounds.inflated(f64::from(header.radius.max()) + header.position_error)
     }
 
+    /// The least and the largest length of which steps are a fraction. Splats absorb the same
+    /// whatever the step is: it only tells their colours apart, and is that of the mean radius.
+    pub(crate) fn details(&self) -> (f32, f32) {
+        let header = self.cloud.header();
+        let mean = header.radius_mean as f32;
+        if self.kernel == Kernel::Splat { (mean, mean) } else { header.details() }
+    }
+
     fn check(&self) -> Result<(), SceneError> {
         self.transfer.check()?;
         let header = self.cloud.header();

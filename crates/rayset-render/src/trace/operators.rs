@@ -283,7 +283,7 @@ mod tests {
 
     fn difference(a: &NodeSamples, b: &NodeSamples) -> NodeSamples {
         let mut out = copy(a);
-        out.subtract(b, REQUIRED, 1.0);
+        out.subtract(b, (Measure::Opacity, REQUIRED), 1.0);
         out
     }
 

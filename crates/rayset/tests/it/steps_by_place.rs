@@ -82,6 +82,11 @@ fn differing(scene: &Scene, settings: &RenderSettings) -> (usize, usize) {
     (differ(&by_place), differ(&same))
 }
 
+/// How many pixels with automatic steps are beyond 1/1024 of the reference's.
+pub(crate) fn count_differing(scene: &Scene) -> usize {
+    differing(scene, &settings(SIDE, SIDE)).0
+}
+
 pub(crate) fn check(what: &str, scene: &Scene, allowed: usize) {
     let (by_place, same) = differing(scene, &settings(SIDE, SIDE));
     assert!(by_place <= allowed, "{what}: {by_place} pixels differ, {same} with the coarsest step");

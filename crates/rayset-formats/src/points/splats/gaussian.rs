@@ -6,10 +6,10 @@
 //! Splatting for Real-Time Radiance Field Rendering*, 2023). A point has the same axes, as long as
 //! where that falls to 1/512: what the kernel `splat` takes them for.
 //!
-//! Where points are to be round, the ellipsoid is replaced by the ball that has, on average over all
-//! directions, the same shadow: by Cauchy's theorem, that of the same surface area. A thin disc
-//! keeps its coverage this way; with the volume kept instead (the geometric mean of the deviations),
-//! surfaces would fall apart into specks.
+//! Where points are to be round, the ellipsoid is replaced by the ball that has, on average over
+//! all directions, the same shadow: by Cauchy's theorem, that of the same surface area. A thin disc
+//! keeps its coverage this way; with the volume kept instead (the geometric mean of the
+//! deviations), surfaces would fall apart into specks.
 
 use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, ROUND_RADIUS, SHAPE_COLUMNS, Schema};
 use rayset_base::geometry::DVec3;

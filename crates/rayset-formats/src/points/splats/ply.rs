@@ -1,7 +1,7 @@
 //! Gaussian splats as PLY, in the layout of INRIA's trainer: colours as coefficients `f_dc_0` to
 //! `f_dc_2` of the spherical harmonics, `opacity` before the logistic function, and the logarithms
-//! of the deviations in `scale_0` to `scale_2`, of which flat splats (2DGS) have two. Rotations are in `rot_0` to
-//! `rot_3`.
+//! of the deviations in `scale_0` to `scale_2`, of which flat splats (2DGS) have two. Rotations are
+//! in `rot_0` to `rot_3`.
 
 use std::path::Path;
 

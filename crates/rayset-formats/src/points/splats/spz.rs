@@ -149,8 +149,8 @@ fn first_three(bytes: &[u8]) -> [f64; 4] {
     [x, y, z, (1.0 - x * x - y * y - z * z).max(0.0).sqrt()]
 }
 
-/// A quaternion without its largest component, which the uppermost two bits name, in the order x, y,
-/// z, w. The others have a sign and nine bits each, up to √½, the last of them lowest.
+/// A quaternion without its largest component, which the uppermost two bits name, in the order x,
+/// y, z, w. The others have a sign and nine bits each, up to √½, the last of them lowest.
 fn smallest_three(bytes: &[u8]) -> [f64; 4] {
     let packed = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     let largest = (packed >> 30) as usize;

@@ -4,8 +4,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::field::Packet;
-use crate::scene::largest_stretch;
+use crate::field::{Kernel, Packet};
+use crate::scene::{CloudObject, largest_stretch};
 use crate::trace::RenderError;
 use crate::trace::access::{Access, Halt};
 use crate::trace::unopened::Unopened;
@@ -28,10 +28,14 @@ pub(in crate::trace) struct CloudPlacement<P = Arc<Object>> {
     world_from_local: DAffine3,
     /// The smallest length in local space of a unit vector in world space.
     least_stretch: f64,
+    /// Least and largest length, in local space, of which steps are a fraction.
+    pub(in crate::trace) details: (f32, f32),
+    pub(in crate::trace) are_splats: bool,
 }
 
 impl CloudPlacement<Unopened> {
-    pub(in crate::trace) fn new(cloud: &Arc<Cloud>, world_from_local: &DAffine3) -> Self {
+    pub(in crate::trace) fn new(object: &CloudObject, world_from_local: &DAffine3) -> Self {
+        let cloud = &object.cloud;
         let header = cloud.header();
         Self {
             pages: Unopened,
@@ -40,13 +44,15 @@ impl CloudPlacement<Unopened> {
             local_from_world: (*world_from_local != DAffine3::IDENTITY).then(|| world_from_local.inverse()),
             world_from_local: *world_from_local,
             least_stretch: 1.0 / largest_stretch(world_from_local),
+            details: object.details(),
+            are_splats: object.kernel == Kernel::Splat,
             cloud: cloud.clone(),
         }
     }
 
     /// With the pages of the cloud in a working set; `None` if they are in none.
     pub(super) fn open(self, paged: &PagedFiles) -> Option<CloudPlacement> {
-        let Self { cloud, root_cell, first_node_page, local_from_world, .. } = self;
+        let Self { cloud, root_cell, first_node_page, local_from_world, details, are_splats, .. } = self;
         let (world_from_local, least_stretch) = (self.world_from_local, self.least_stretch);
         let pages = paged.find(&cloud)?.clone();
         Some(CloudPlacement {
@@ -57,6 +63,8 @@ impl CloudPlacement<Unopened> {
             local_from_world,
             world_from_local,
             least_stretch,
+            details,
+            are_splats,
         })
     }
 }
@@ -106,7 +114,7 @@ impl CloudPlacement {
     pub(in crate::trace) fn largest_detail_world(&self) -> f64 {
         let stretch =
             if self.local_from_world.is_some() { largest_stretch(&self.world_from_local) } else { 1.0 };
-        f64::from(self.header().details().1) * stretch
+        f64::from(self.details.1) * stretch
     }
 
     /// Bounds of influence of a node, world space.

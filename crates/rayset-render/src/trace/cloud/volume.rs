@@ -24,7 +24,7 @@ impl CloudVolume<Unopened> {
         unit_distance: f64,
         material: [f32; MATERIAL],
     ) -> Self {
-        let placement = CloudPlacement::new(&object.cloud, world_from_local);
+        let placement = CloudPlacement::new(object, world_from_local);
         let shading = CloudShading::new(object, placement.local_from_world(), unit_distance, material);
         Self { placement, shading }
     }

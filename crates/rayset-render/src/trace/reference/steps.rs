@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::field::Kernel;
 use crate::scene::{CloudObject, Node, RenderSettings, Scene, Shape, Step};
 use rayset_base::geometry::{Aabb, DAffine3, DVec3, Ray};
 use rayset_files::octree::node::NodePage;
@@ -208,9 +209,11 @@ impl ByPlace {
     fn details_of_cloud(&self, object: &CloudObject, stretch: f64) -> Result<Vec<Detail>, ScanError> {
         let header = object.cloud.header();
         let root = header.root_cell();
-        let (least, most) = header.details();
+        let (least, most) = object.details();
         let (least, most) = (f64::from(least), f64::from(most));
-        if least == most && !self.is_scattered(header.bounds.size(), least, stretch) {
+        let is_scattered =
+            object.kernel != Kernel::Splat && self.is_scattered(header.bounds.size(), least, stretch);
+        if least == most && !is_scattered {
             return Ok(vec![Detail { length: least, within: Within::Bounds }]);
         }
         let runs = runs_of(object)?;
@@ -351,7 +354,7 @@ fn collect<'a>(node: &'a Node, world_from_parent: &DAffine3, leaves: &mut Vec<Le
             return children.iter().for_each(|child| collect(child, &world_from_local, leaves));
         }
         Shape::Cloud(object) => {
-            let (least, most) = object.cloud.header().details();
+            let (least, most) = object.details();
             let is_alike = least == most && world_from_local == DAffine3::IDENTITY;
             (Some(object), world_from_local, f64::from(most), is_alike)
         }

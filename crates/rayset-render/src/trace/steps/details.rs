@@ -206,7 +206,7 @@ impl DetailedObject {
             _ if matches!(self.looked_at, LookedAt::Whole) => {}
             Action::Cloud(volume) => {
                 let cloud = &volume.placement;
-                let detail = f64::from(cloud.header().details().1);
+                let detail = f64::from(cloud.details.1);
                 let length = |ray: &Ray| detail / cloud.stretch_along(ray.direction);
                 add_whole(place.rays, &instruction.object_bounds, &scale, length, chords);
             }
@@ -245,7 +245,7 @@ fn add_whole(
 /// are not both scattered and far finer than everything else.
 fn is_one_by_bounds(cloud: &CloudPlacement, scale: &Scale) -> bool {
     let header = cloud.header();
-    let (least, most) = header.details();
-    let scattered = header.bounds.size().max_element() > SCATTERED * f64::from(most);
+    let (least, most) = cloud.details;
+    let scattered = !cloud.are_splats && header.bounds.size().max_element() > SCATTERED * f64::from(most);
     least == most && !(scattered && scale.of(cloud.largest_detail_world()) <= ASKED_THEMSELVES)
 }

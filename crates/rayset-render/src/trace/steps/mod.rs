@@ -196,7 +196,7 @@ fn details_of(action: &Action) -> Option<(f64, f64)> {
         Action::Cloud(volume) => {
             let cloud = &volume.placement;
             let stretch = cloud.local_from_world().map_or(1.0, largest_stretch);
-            Some((f64::from(cloud.header().details().0) / stretch, cloud.largest_detail_world()))
+            Some((f64::from(cloud.details.0) / stretch, cloud.largest_detail_world()))
         }
         Action::Procedural(volume) => Some((volume.least_detail_world(), volume.largest_detail_world())),
         Action::Grid(volume) => {
@@ -211,7 +211,7 @@ fn details_of(action: &Action) -> Option<(f64, f64)> {
 pub(super) fn may_differ<P>(program: &Program<P>) -> bool {
     let mut objects = program.instructions.iter().filter_map(|instruction| match &instruction.action {
         Action::Cloud(volume) => {
-            let (least, most) = volume.placement.header().details();
+            let (least, most) = volume.placement.details;
             Some(least == most && volume.placement.local_from_world().is_none())
         }
         Action::Procedural(_) | Action::Grid(_) => Some(true),
