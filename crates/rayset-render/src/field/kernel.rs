@@ -1,5 +1,5 @@
 //! The seven radial basis functions, in `f64` for the reference renderer and in `f32` for eight
-//! samples at a time; and splats, which are none ([`super::gaussian_splat`]).
+//! samples at a time; and splats, which are none (`gaussian_splat`).
 //!
 //! A kernel ω takes x = d/r. It is 1 at x = 0 and 0 for x ≥ 1. The functions here take s = x²,
 //! because all kernels but two can be evaluated from s without a square root. For gradients the
