@@ -78,6 +78,19 @@ fn density_is_right_where_ellipsoids_are_a_thousand_times_as_wide_as_thick() {
 }
 
 #[test]
+fn many_ellipsoids_in_one_place_have_the_sum_of_their_densities() {
+    let (mut position, mut columns) = columns(42, 1.0, 2.0, 9);
+    for copy in 0..21 {
+        position.push(position[0]);
+        // Each has a colour of its own.
+        for (number, column) in columns.iter_mut().enumerate() {
+            column.push(if number > 8 { copy as f32 / 21.0 } else { column[0] });
+        }
+    }
+    check_field(&built((position, columns)), 1.0, Kernel::Wyvill, SimdLevel::default());
+}
+
+#[test]
 fn pictures_of_ellipsoids_are_right_with_every_opacity_rule_and_under_any_transform() {
     let cloud = built(columns(2500, 1.0, 2.0, 3));
     let step = f64::from(cloud.header().details().0) * 0.5;
