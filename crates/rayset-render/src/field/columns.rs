@@ -1,6 +1,7 @@
 //! Points by columns, as they are tested against rays: those of a run, or the ones among them that
-//! are near some rays.
+//! are near some rays. And which columns of attributes come with them.
 
+use rayset_base::bytes::list_bytes;
 use rayset_files::octree::layout::RUN_POINTS;
 
 /// Points that are tested together.
@@ -73,5 +74,37 @@ impl PointColumns {
         let chunks = len.div_ceil(CHUNK_POINTS);
         self.inverse_radius_squared[len..CHUNK_POINTS * chunks].fill(f32::INFINITY);
         (1 << chunks) - 1
+    }
+}
+
+/// The attributes that a cloud's field carries besides the density. Their channels are numbered in
+/// this order.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct AttributeColumns {
+    /// The points' colour, decoded to linear light: three channels.
+    pub color: bool,
+    /// Numbers of attributes that are averaged, one channel each: [`Header::attribute_number`].
+    pub scalars: Vec<usize>,
+    /// Numbers of attributes of class labels, of which samples have that of the point that
+    /// contributes most.
+    pub labels: Vec<usize>,
+}
+
+impl AttributeColumns {
+    /// Bytes that they take besides themselves.
+    pub(crate) fn bytes(&self) -> usize {
+        list_bytes(&self.scalars) + list_bytes(&self.labels)
+    }
+
+    /// Number of channels.
+    #[must_use]
+    pub fn channels(&self) -> usize {
+        self.first_scalar() + self.scalars.len()
+    }
+
+    /// The channel of the first scalar.
+    #[must_use]
+    pub fn first_scalar(&self) -> usize {
+        if self.color { 3 } else { 0 }
     }
 }

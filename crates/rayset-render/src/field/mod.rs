@@ -24,12 +24,13 @@ mod splat_wide;
 mod sums;
 
 pub use batch::{Appended, BATCH_BYTES, RunBatch};
+pub use columns::AttributeColumns;
 pub use counts::SplatCounts;
 pub use kept_runs::{KEPT_BYTES, RunKey};
 pub use kernel::Kernel;
 pub use packet::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 pub use ray_columns::{ChosenRays, Crossing, Near, RayColumns};
-pub use run::{AttributeColumns, DecodedRun, RunDecoder, linear_from_srgb};
+pub use run::{DecodedRun, RunDecoder, linear_from_srgb};
 pub use samples::{Channels, FieldSamples, LeastAbsorption, RayEnds, SampleRow};
 pub use simd::SimdLevel;
 pub(crate) use simd::dispatch;

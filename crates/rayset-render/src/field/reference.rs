@@ -1,9 +1,10 @@
 //! The reference field: every point against every sample, in `f64`, from the points as stored in
 //! the file.
 
+use super::columns::AttributeColumns;
 use super::gaussian_splat::exact::{self, splat_radius};
 use super::kernel::Kernel;
-use super::run::{AttributeColumns, linear_from_srgb};
+use super::run::linear_from_srgb;
 use rayset_base::geometry::{DMat3, DVec3, Ray, Shape};
 use rayset_files::octree::Cloud;
 use rayset_files::octree::shape::StoredShape;

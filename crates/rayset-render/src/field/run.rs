@@ -3,12 +3,11 @@
 use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
-use super::columns::{CHUNK_POINTS, CHUNKS, MAP_BYTES, MAP_COLUMNS, PointColumns};
+use super::columns::{AttributeColumns, CHUNK_POINTS, CHUNKS, MAP_BYTES, MAP_COLUMNS, PointColumns};
 use super::gaussian_splat;
 use super::kernel::Kernel;
 use super::plates::Plates;
 use super::simd::{SimdLevel, dispatch};
-use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::DVec3;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
@@ -78,38 +77,6 @@ pub(super) struct WideRun {
     pub(super) inverse_radius: [f64; RUN_POINTS],
     /// Of ellipsoids the rows of the map of each to the unit ball; none for balls.
     pub(super) map: Vec<[f64; MAP_COLUMNS]>,
-}
-
-/// The attributes that a cloud's field carries besides the density. Their channels are numbered in
-/// this order.
-#[derive(Clone, Debug, PartialEq, Eq, Default)]
-pub struct AttributeColumns {
-    /// The points' colour, decoded to linear light: three channels.
-    pub color: bool,
-    /// Numbers of attributes that are averaged, one channel each: [`Header::attribute_number`].
-    pub scalars: Vec<usize>,
-    /// Numbers of attributes of class labels, of which samples have that of the point that
-    /// contributes most.
-    pub labels: Vec<usize>,
-}
-
-impl AttributeColumns {
-    /// Bytes that they take besides themselves.
-    pub(crate) fn bytes(&self) -> usize {
-        list_bytes(&self.scalars) + list_bytes(&self.labels)
-    }
-
-    /// Number of channels.
-    #[must_use]
-    pub fn channels(&self) -> usize {
-        self.first_scalar() + self.scalars.len()
-    }
-
-    /// The channel of the first scalar.
-    #[must_use]
-    pub fn first_scalar(&self) -> usize {
-        if self.color { 3 } else { 0 }
-    }
 }
 
 /// Decodes the runs of one cloud.
