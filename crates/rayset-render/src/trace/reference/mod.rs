@@ -15,7 +15,6 @@ use std::sync::Arc;
 
 use self::sample::{Sample, combine};
 use self::shared::SharedShadows;
-use self::steps::Place;
 use crate::field::reference::{ReferenceField, ReferenceSample};
 use crate::field::{AttributeColumns, Kernel};
 use crate::scene::{
@@ -211,10 +210,9 @@ impl<'a> ReferenceRenderer<'a> {
         let mut transmittance = 1.0;
         let samples = steps.samples(ray, sample_offset, &self.scene.root.bounds());
         for place in samples.into_iter().take_while(|sample| sample.t < end) {
-            let Place { t, step, .. } = place;
-            let q = ray.at(t);
+            let q = ray.at(place.t);
             let sample = self.sample(&root, Position { q, ray, interval: place.interval() });
-            let passed = self.passed(&sample, step);
+            let passed = self.passed(&sample, place.step);
             if passed >= 1.0 {
                 continue;
             }
