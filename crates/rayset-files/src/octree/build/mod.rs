@@ -142,7 +142,7 @@ fn build(
     clock.lap(Stage::Write);
     let survey = &ingested.survey;
     let (points, skipped, times) = (header.points, survey.skipped, clock.laps);
-    let remarks = survey.remarks();
+    let remarks = survey.depths.remarks();
     Ok((output, BuildReport { points, skipped, header, times, remarks }))
 }
 

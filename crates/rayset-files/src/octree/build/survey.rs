@@ -313,18 +313,6 @@ impl Survey {
         }
     }
 
-    /// What was found out or guessed about the input that may have to be known, a sentence each.
-    pub(super) fn remarks(&self) -> Vec<String> {
-        let mut remarks = self.depths.remarks();
-        if self.measures_shapes && self.has_shapes {
-            remarks.push(
-                "points have the shapes of their neighbourhoods: discs on surfaces, rods on wires, smaller ones elsewhere; the shape `round` makes balls"
-                    .to_owned(),
-            );
-        }
-        remarks
-    }
-
     /// The same once every record has what is measured of it.
     pub(super) fn with_measures(self, settled: Settled) -> Self {
         let layout = self.layout.with_measures(self.measures_shapes);

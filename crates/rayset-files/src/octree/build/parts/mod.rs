@@ -262,7 +262,7 @@ impl BuildParts {
         context.check()?;
         output.publish()?;
         let times = vec![(Stage::Write, started.elapsed())];
-        let remarks = survey.remarks();
+        let remarks = survey.depths.remarks();
         Ok(BuildReport { points: header.points, skipped: survey.skipped, header, times, remarks })
     }
 
