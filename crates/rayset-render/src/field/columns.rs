@@ -83,7 +83,8 @@ impl PointColumns {
 pub struct AttributeColumns {
     /// The points' colour, decoded to linear light: three channels.
     pub color: bool,
-    /// Numbers of attributes that are averaged, one channel each: [`Header::attribute_number`].
+    /// Numbers of attributes that are averaged, one channel each:
+    /// [`Header::attribute_number`](rayset_files::octree::format::Header::attribute_number).
     pub scalars: Vec<usize>,
     /// Numbers of attributes of class labels, of which samples have that of the point that
     /// contributes most.
