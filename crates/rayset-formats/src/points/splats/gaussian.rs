@@ -87,7 +87,7 @@ impl Gaussian {
                 let [a, b, c] = self.deviations;
                 self.radius_in_deviations() * a.max(b).max(c)
             }
-            5 => self.opacity.min(MOST_OPAQUE),
+            5 => self.weight(),
             6..9 => self.deviations[index - 6],
             9..12 => {
                 let [a, b, c] = self.deviations;
@@ -102,9 +102,14 @@ impl Gaussian {
         }
     }
 
+    /// Its opacity, as far as it goes. What is no number stays none.
+    fn weight(&self) -> f64 {
+        if self.opacity > MOST_OPAQUE { MOST_OPAQUE } else { self.opacity }
+    }
+
     /// How many deviations from its centre it ends.
     fn radius_in_deviations(&self) -> f64 {
-        let square = 2.0 * (CUT * self.opacity.min(MOST_OPAQUE)).ln();
+        let square = 2.0 * (CUT * self.weight()).ln();
         if square > LEAST_RADIUS * LEAST_RADIUS { square.sqrt() } else { LEAST_RADIUS }
     }
 
@@ -191,7 +196,9 @@ mod tests {
             assert_eq!(splat.value(5), most);
         }
         for opacity in [0.0, 1e-3, -1.0, f64::NAN] {
-            assert_eq!(Gaussian { opacity, ..of([1.0; 3]) }.value(9), LEAST_RADIUS);
+            let splat = Gaussian { opacity, ..of([1.0; 3]) };
+            assert_eq!(splat.value(9), LEAST_RADIUS);
+            assert!(splat.value(5) == opacity || splat.value(5).is_nan() && opacity.is_nan());
         }
         assert!(of([1.0, f64::NAN, 1.0]).value(10).is_nan() && of([1.0, 1.0, -1.0]).value(11) > 0.0);
     }
