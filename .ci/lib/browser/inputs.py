@@ -114,11 +114,11 @@ def segments(path):
 
 
 def splats(path):
-    """A few Gaussian splats, longer than wide."""
-    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    rows = [(math.cos(i), math.sin(i), i / 400, 1, 0, -1, 2, -3, -5, -4, 1, 0, 0, 0) for i in range(400)]
+    """A few Gaussian splats, longer than wide, with a column more than points keep by themselves."""
+    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "height"]
+    rows = [(math.cos(i), math.sin(i), i / 400, 1, 0, -1, 2, -3, -5, -4, 1, 0, 0, 0, i) for i in range(400)]
     head = "ply\nformat binary_little_endian 1.0\nelement vertex 400\n" + "".join(f"property float {name}\n" for name in names)
-    path.write_bytes((head + "end_header\n").encode() + b"".join(struct.pack("<14f", *row) for row in rows))
+    path.write_bytes((head + "end_header\n").encode() + b"".join(struct.pack("<15f", *row) for row in rows))
 
 
 def ball(path):

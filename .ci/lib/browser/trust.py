@@ -341,7 +341,7 @@ def remarks_of_the_program_are_on_the_page(browser, server, _folder):
     person = Person(browser, server, width=720, height=480)
     person.converged()
     said = person.page.get_by_label("Remarks").text_content()
-    assert "ellipsoid" in said, said
+    assert "left out height:" in said, said
     # Where its file is kept is for the terminal.
     assert "built" not in said and "cache" not in said, said
     person.shot("remarks")

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use rayset::points::{ColumnInfo, PointSource};
+use rayset::points::{ColumnInfo, PointSource, ROUND_RADIUS, SHAPE_COLUMNS};
 
 use crate::host::Host;
 use crate::speed::{SPEED, is_velocity};
@@ -16,9 +16,10 @@ const FIRST: [&str; 4] = ["classification", "intensity", "reflectance", "tempera
 /// Columns that a cloud keeps by itself, or that say nothing of a point.
 const OWN: [&str; 8] = ["radius", "weight", "red", "green", "blue", "nx", "ny", "nz"];
 
-/// Columns by which points are ellipsoids, if all of them are there: a cloud keeps them by itself.
-const SHAPE: [&str; 7] =
-    ["semi_axis_1", "semi_axis_2", "semi_axis_3", "rotation_x", "rotation_y", "rotation_z", "rotation_w"];
+/// Whether a column belongs to the shapes of ellipsoids, which a cloud keeps by itself.
+fn is_of_shapes(name: &str) -> bool {
+    SHAPE_COLUMNS.contains(&name) || name == ROUND_RADIUS
+}
 
 /// Columns that are kept, and those left out because of what they cost.
 pub struct Columns {
@@ -80,9 +81,9 @@ fn chosen<S: PointSource + ?Sized>(sources: &[Box<S>], most_bytes: usize) -> Col
     let mut columns = Columns { kept: Vec::new(), left_out: Vec::new() };
     let Some((first, others)) = sources.split_first() else { return columns };
     let schema = first.schema();
-    let has_shapes = SHAPE.iter().all(|name| schema.find(name).is_some());
+    let has_shapes = SHAPE_COLUMNS.iter().all(|name| schema.find(name).is_some());
     let is_own = |index: usize, column: &ColumnInfo| {
-        if has_shapes && SHAPE.contains(&column.name.as_str()) {
+        if has_shapes && is_of_shapes(&column.name) {
             return true;
         }
         let plays = |role: &&str| schema.find(role) == Some(index);

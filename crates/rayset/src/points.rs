@@ -10,7 +10,7 @@
 pub use rayset_files::points::WorkloadView;
 pub use rayset_files::points::{
     ColorDepth, ColumnInfo, ColumnLengthError, ColumnSlice, ColumnType, Place, PointBatch, PointSource,
-    PositionSlice, ReadError, Schema, SliceSource, Values, Workload,
+    PositionSlice, ROUND_RADIUS, ReadError, SHAPE_COLUMNS, Schema, SliceSource, Values, Workload,
 };
 #[doc(hidden)]
 pub use rayset_formats::points::InTurn;
