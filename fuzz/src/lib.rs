@@ -16,7 +16,9 @@ use rayset::octree::Cloud;
 use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::octree::verify::Depth;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
-use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Samples, Scene, Shape};
+use rayset::scene::{
+    Camera, CloudObject, Compositing, GridObject, Lighting, Node, RenderSettings, Samples, Scene, Shape,
+};
 use rayset::scene_file::SceneFile;
 use rayset::trace::{ExecSettings, render_once};
 use rayset::volumes::{self, RawLayout};
@@ -169,7 +171,13 @@ pub fn files(data: &[u8]) {
             }
             let object = GridObject::plain(Arc::new(grid));
             let root = Arc::new(Node::new(Shape::Grid(object)));
-            let scene = Scene { root, lighting: Lighting::headlight(), background: None, unit_distance: 1.0 };
+            let scene = Scene {
+                root,
+                lighting: Lighting::headlight(),
+                background: None,
+                unit_distance: 1.0,
+                compositing: Compositing::Linear,
+            };
             picture(&scene, &framing(&scene), &settings);
         }
     }

@@ -8,8 +8,8 @@ use rayset::Cloud;
 use rayset::geometry::{DAffine3, DVec3};
 use rayset::memory::Limits;
 use rayset::scene::{
-    Camera, CloudObject, Form, Light, LightKind, Lighting, Material, Node, Operator, RenderSettings, Scene,
-    Shadows, Shape, Solid, Step,
+    Camera, CloudObject, Compositing, Form, Light, LightKind, Lighting, Material, Node, Operator,
+    RenderSettings, Scene, Shadows, Shape, Solid, Step,
 };
 use rayset::{CancelToken, Picture, RenderCounts, SessionBuilder};
 
@@ -126,6 +126,7 @@ fn features(cloud: &Arc<Cloud>) -> Vec<Feature> {
         lighting: lights.map_or(Lighting::Unlit, Lighting::Lit),
         background: None,
         unit_distance,
+        compositing: Compositing::Linear,
     };
     let feature = |name, scene, settings| Feature { name, scene, settings };
     let lit = |lights| of(leaf.clone(), Some(lights));

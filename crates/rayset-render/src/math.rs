@@ -92,6 +92,15 @@ pub(crate) fn power(x: f32, n: f32) -> f32 {
     }
 }
 
+/// x^n for x ≥ 0 and n > 0, as far as it is from 1e-37 to 1e37; relative error below 4e-6 for
+/// results from 1e-3 to 1e3.
+#[inline(always)]
+pub(crate) fn raised(x: f32, n: f32) -> f32 {
+    let exponent = ln(x.max(f32::MIN_POSITIVE)) * n;
+    let of_its_size = exp_minus(exponent.abs());
+    if exponent > 0.0 { 1.0 / of_its_size } else { of_its_size }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use rayset::Session;
 use rayset::geometry::{Aabb, DAffine3, DVec3};
 use rayset::scene::{
-    Camera, Form, Light, LightKind, Lighting, Node, Operator, Procedural, ProceduralSample, RenderSettings,
-    Scene, Shape, Solid,
+    Camera, Compositing, Form, Light, LightKind, Lighting, Node, Operator, Procedural, ProceduralSample,
+    RenderSettings, Scene, Shape, Solid,
 };
 
 /// A gyroid shell, sin x cos y + sin y cos z + sin z cos x = 0, of a given thickness, in a cube.
@@ -63,8 +63,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         light(LightKind::Ambient, 0.35, false),
         light(LightKind::Directional { direction: DVec3::new(-0.6, -1.0, -0.5) }, 0.9, true),
     ];
-    let scene =
-        Scene { root, lighting: Lighting::Lit(lights), background: Some([0.02; 3]), unit_distance: 0.02 };
+    let scene = Scene {
+        root,
+        lighting: Lighting::Lit(lights),
+        background: Some([0.02; 3]),
+        unit_distance: 0.02,
+        compositing: Compositing::Linear,
+    };
     let camera = Camera::look_at(DVec3::new(2.2, 1.7, 2.4), DVec3::ZERO, DVec3::Y, 0.6);
     let settings = RenderSettings::default().with_size(240, 240).with_samples(2);
     let session = Session::builder().build()?;

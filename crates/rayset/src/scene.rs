@@ -9,8 +9,8 @@ pub use rayset_render::field::Kernel;
 #[doc(hidden)]
 pub use rayset_render::scene::*;
 pub use rayset_render::scene::{
-    BRIGHTEST, Camera, CameraError, CameraPath, Channel, CloudObject, ColorMap, ColorRule, FARTHEST,
-    FINEST_DETAIL, Form, GRID_ATTRIBUTE, GridObject, Light, LightKind, Lighting, MAX_OPACITY,
+    BRIGHTEST, Camera, CameraError, CameraPath, Channel, CloudObject, ColorMap, ColorRule, Compositing,
+    FARTHEST, FINEST_DETAIL, Form, GRID_ATTRIBUTE, GridObject, Light, LightKind, Lighting, MAX_OPACITY,
     MOST_ATTRIBUTES, MOST_PLACES, MOST_STEPS, MOST_STEPS_IN_SOLIDS, MOST_STOPS, MapInput, Material,
     NamedPalette, Node, NoiseCloud, OpacityRule, Operator, Palette, PathError, Pattern, Procedural,
     ProceduralSample, Projection, RenderSettings, SHORTEST, SampleOffset, Samples, Sampling, Scene,

@@ -8,7 +8,7 @@ use anyhow::{Context as _, Result};
 use rayset::PagedFiles;
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::octree::Cloud;
-use rayset::scene::{Camera, Light, LightKind, Lighting, Node, Operator, RenderSettings, Scene, Shape, Step};
+use rayset::scene::{Compositing, Camera, Light, LightKind, Lighting, Node, Operator, RenderSettings, Scene, Shape, Step};
 use rayset::trace::{ExecSettings, Session};
 use rayset::working_set::read::{self, BackendKind};
 use rayset::working_set::{Limits, WorkingSet};
@@ -96,6 +96,7 @@ pub(super) fn scene(clouds: &[Arc<Cloud>]) -> Scene {
         ]),
         background: None,
         unit_distance: clouds[0].header().radius_mean * scale,
+        compositing: Compositing::Linear,
     }
 }
 

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::ranges::over_logarithm;
 use crate::style::kinds::{Kind, Rays};
-use crate::style::{Background, Phase, Shading, StepLength, Style, ValueRange};
+use crate::style::{Background, Compositing, Phase, Shading, StepLength, Style, ValueRange};
 use crate::values;
 
 /// What options of a look need to know of a cloud or grid.
@@ -151,6 +151,10 @@ impl Style {
         }
         if let Some(phase) = self.phase {
             rendering["phase"] = json!(if phase == Phase::Half { "half" } else { "hashed" });
+        }
+        if let Some(compositing) = self.compositing {
+            let is_linear = compositing == Compositing::Linear;
+            rendering["compositing"] = json!(if is_linear { "linear" } else { "display" });
         }
         if let Some(occlusion) = self.ambient_occlusion {
             rendering["ambientOcclusion"] = json!(occlusion);

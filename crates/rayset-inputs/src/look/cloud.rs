@@ -289,6 +289,7 @@ impl CloudLook {
                 scene["lights"] = json!("none");
                 scene["background"] = json!(NIGHT);
                 scene["rendering"]["unitDistance"] = json!(radius);
+                scene["rendering"]["compositing"] = json!("display");
             }
             _ => {
                 scene["background"] = json!(BACKDROP);

@@ -18,7 +18,7 @@ pub use self::option::{Change, Group, OptionOf, Options};
 pub use self::spelling::Spelling;
 pub use self::table::{OPTIONS, Style, StyleOption};
 pub use self::values::{
-    Background, Choice, Flag, LookName, Phase, Rgb, Shading, Side, StepLength, ValueRange,
+    Background, Choice, Compositing, Flag, LookName, Phase, Rgb, Shading, Side, StepLength, ValueRange,
 };
 pub(crate) use self::values::{End, Words};
 

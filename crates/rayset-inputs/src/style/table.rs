@@ -6,7 +6,9 @@ use super::kinds::{
     Behind, Color, Kind, LENGTH, Named, Number, Opacity, Range, Rays, Step, Switch, Text, Vector, Word,
 };
 use super::option::{OptionOf, Options, options};
-use super::values::{Background, Flag, LookName, Phase, Rgb, Shading, Side, StepLength, ValueRange};
+use super::values::{
+    Background, Compositing, Flag, LookName, Phase, Rgb, Shading, Side, StepLength, ValueRange,
+};
 use crate::values;
 
 /// An option of a [`Style`].
@@ -57,6 +59,8 @@ options! {
         log: Flag = Switch;
         /// Light: from the eye, or none
         shading: Shading = Word;
+        /// Values in which light is added up along rays; display of splats, linear by default
+        compositing: Compositing = Word;
         /// How much darker creases and what lies close behind edges become, 0 to 4
         ambient_occlusion: f64 = Number(0.0, 4.0);
         /// Background colour, or `none`: transparent

@@ -70,6 +70,16 @@ words! {
 }
 
 words! {
+    /// In which values light is added up along rays.
+    Compositing {
+        /// As light adds up
+        Linear = "linear",
+        /// As displays are given it, as splats are trained
+        Display = "display",
+    }
+}
+
+words! {
     /// Where the samples of a ray begin.
     Phase { Half = "half", Hashed = "hashed" }
 }

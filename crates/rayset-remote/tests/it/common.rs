@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use rayset::build::{self, BuildControl, BuildOptions, GridBuildOptions};
 use rayset::points::{self, ReadOptions, Workload};
-use rayset::scene::{Camera, CloudObject, GridObject, Lighting, Node, RenderSettings, Scene, Shape};
+use rayset::scene::{
+    Camera, CloudObject, Compositing, GridObject, Lighting, Node, RenderSettings, Scene, Shape,
+};
 use rayset::volumes;
 use rayset::working_set::Limits;
 use rayset::{Cloud, Grid, Session};
@@ -42,7 +44,13 @@ pub(crate) fn render(cloud: &Arc<Cloud>, budget: u64) -> Result<Vec<[f32; 4]>, S
 pub(crate) fn render_grid(grid: &Arc<Grid>, budget: u64) -> Result<Vec<[f32; 4]>, String> {
     let root = Arc::new(Node::new(Shape::Grid(GridObject::plain(grid.clone()))));
     render_scene(
-        &Scene { root, lighting: Lighting::headlight(), background: None, unit_distance: 1.0 },
+        &Scene {
+            root,
+            lighting: Lighting::headlight(),
+            background: None,
+            unit_distance: 1.0,
+            compositing: Compositing::Linear,
+        },
         budget,
     )
 }

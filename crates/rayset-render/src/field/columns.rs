@@ -81,8 +81,10 @@ impl PointColumns {
 /// this order.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct AttributeColumns {
-    /// The points' colour, decoded to linear light: three channels.
+    /// The points' colour: three channels, decoded to linear light.
     pub color: bool,
+    /// Whether that is left in display values instead.
+    pub color_as_displayed: bool,
     /// Numbers of attributes that are averaged, one channel each:
     /// [`Header::attribute_number`](rayset_files::octree::format::Header::attribute_number).
     pub scalars: Vec<usize>,

@@ -62,6 +62,8 @@ impl ReferenceField {
     ) -> Result<Self, ScanError> {
         let header = cloud.header();
         let mut points = Vec::new();
+        let color =
+            |display: f64| if columns.color_as_displayed { display } else { linear_from_srgb(display) };
         cloud.for_each_run(|_, run| {
             let n = run.head.len();
             let constant = |v: f32| vec![v; n];
@@ -72,7 +74,7 @@ impl ReferenceField {
             let mut attributes = vec![Vec::new(); n];
             if columns.color {
                 for (a, c) in attributes.iter_mut().zip(run.colors(header).into_iter().flatten()) {
-                    a.extend(c.map(|v| linear_from_srgb(f64::from(v) / 255.0)));
+                    a.extend(c.map(|v| color(f64::from(v) / 255.0)));
                 }
             }
             let positions = run.positions(header.root_cell());

@@ -90,7 +90,8 @@ pub struct RunDecoder {
     /// 1/∫ω dV over the unit ball, if each weight has to be normalised for itself.
     pub(super) normalisation: Option<f64>,
     columns: AttributeColumns,
-    linear_from_srgb: Box<[f32; 256]>,
+    /// The value of each byte of a colour.
+    color_from_byte: Box<[f32; 256]>,
 }
 
 impl RunDecoder {
@@ -110,14 +111,16 @@ impl RunDecoder {
         if are_splats {
             (weight, normalisation) = (weight.map(gaussian_splat::extent), None);
         }
+        let color =
+            |display: f64| if columns.color_as_displayed { display } else { linear_from_srgb(display) };
         Self {
             root: header.root_cell(),
             radius,
             are_splats,
             weight,
             normalisation,
+            color_from_byte: Box::new(std::array::from_fn(|i| color(i as f64 / 255.0) as f32)),
             columns,
-            linear_from_srgb: Box::new(std::array::from_fn(|i| linear_from_srgb(i as f64 / 255.0) as f32)),
         }
     }
 
@@ -132,7 +135,7 @@ impl RunDecoder {
 
     /// Bytes that it takes besides itself.
     pub(crate) fn bytes(&self) -> usize {
-        size_of_val(&*self.linear_from_srgb) + self.columns.bytes()
+        size_of_val(&*self.color_from_byte) + self.columns.bytes()
     }
 
     /// Decodes where a run is, for samples that are at least `step` apart, in the cloud's space.
@@ -233,9 +236,9 @@ impl RunDecoder {
         let (color, scalars) = out.attribute.split_at_mut(self.columns.first_scalar());
         if let ([red, green, blue], Some(colors)) = (color, run.colors(header)) {
             for (i, c) in colors.enumerate() {
-                red[i] = self.linear_from_srgb[usize::from(c[0])];
-                green[i] = self.linear_from_srgb[usize::from(c[1])];
-                blue[i] = self.linear_from_srgb[usize::from(c[2])];
+                red[i] = self.color_from_byte[usize::from(c[0])];
+                green[i] = self.color_from_byte[usize::from(c[1])];
+                blue[i] = self.color_from_byte[usize::from(c[2])];
             }
         }
         for (column, &number) in scalars.iter_mut().zip(&self.columns.scalars) {

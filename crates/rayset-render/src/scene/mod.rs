@@ -6,6 +6,7 @@
 mod bytes;
 mod camera;
 mod colormap;
+mod compositing;
 mod error;
 mod graph;
 mod light;
@@ -26,6 +27,7 @@ use rayset_base::setters;
 pub use camera::{Camera, CameraError, Projection};
 pub(crate) use camera::{Footprint, RayMaker};
 pub use colormap::NamedPalette;
+pub use compositing::Compositing;
 pub use error::{MOST_ATTRIBUTES, SceneError};
 pub use graph::{
     Channel, CloudObject, GRID_ATTRIBUTE, GridObject, MOST_PLACES, Node, Operator, Shape, Transfer,
@@ -72,6 +74,8 @@ pub struct Scene {
     pub background: Option<[f32; 3]>,
     /// The length that all opacities refer to, world space.
     pub unit_distance: f64,
+    /// In which values light is added up along rays.
+    pub compositing: Compositing,
 }
 
 impl Scene {
@@ -85,6 +89,7 @@ impl Scene {
             lighting: Lighting::headlight(),
             background: None,
             unit_distance,
+            compositing: Compositing::Linear,
         }
     }
 

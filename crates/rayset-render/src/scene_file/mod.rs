@@ -142,6 +142,7 @@ impl SceneFile {
                 _ => None,
             },
             unit_distance: view::unit_distance(&file, &bounds)?,
+            compositing: view::compositing(&file)?,
             root,
         };
         scene.check().map_err(|e| match e {

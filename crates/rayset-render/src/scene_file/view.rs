@@ -4,7 +4,8 @@ use super::error::SceneFileError;
 use super::reader::{Cursor, Object};
 use crate::image::{DisplayTransform, ToneMapping};
 use crate::scene::{
-    Camera, CameraPath, Projection, RenderSettings, SHORTEST, SampleOffset, Samples, Sampling, Shadows, Step,
+    Camera, CameraPath, Compositing, Projection, RenderSettings, SHORTEST, SampleOffset, Samples, Sampling,
+    Shadows, Step,
 };
 use rayset_base::geometry::{Aabb, DVec3};
 
@@ -47,6 +48,7 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
             "phase",
             "stopTransmittance",
             "unitDistance",
+            "compositing",
             "shadows",
             "shadowResolution",
             "maxDepth",
@@ -110,6 +112,13 @@ pub(super) fn unit_distance(file: &Object<'_>, bounds: &Aabb) -> Result<f64, Sce
     }
     let diagonal = bounds.size().length();
     Ok(if !bounds.is_empty() && diagonal.is_finite() && diagonal > 0.0 { diagonal / 100.0 } else { 1.0 })
+}
+
+/// In which values light is added up along rays: linear light, unless the file says otherwise.
+pub(super) fn compositing(file: &Object<'_>) -> Result<Compositing, SceneFileError> {
+    let Some(at) = file.get("rendering") else { return Ok(Compositing::default()) };
+    let kinds = [("linear", Compositing::Linear), ("display", Compositing::Display)];
+    at.any_object()?.read_or("compositing", Compositing::default(), |at| at.one_of(&kinds))
 }
 
 /// The camera path of an animation, if the file has one.

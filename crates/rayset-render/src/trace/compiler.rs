@@ -115,8 +115,7 @@ impl Compiler<'_> {
         world_from_local: &DAffine3,
         material: [f32; MATERIAL],
     ) -> Compiled {
-        let unit = self.scene.unit_distance;
-        let volume = CloudVolume::new(object, world_from_local, unit, material);
+        let volume = CloudVolume::new(object, world_from_local, self.scene, material);
         let color = volume.shading.uniform_color();
         (Action::Cloud(Box::new(volume)), object.bounds().transformed(world_from_local), color)
     }

@@ -15,6 +15,7 @@ mod compiler;
 mod composite;
 mod costs;
 mod counts;
+mod display_values;
 mod engine;
 mod error;
 mod evaluate;

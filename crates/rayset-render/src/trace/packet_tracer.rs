@@ -120,7 +120,7 @@ impl<'a> PacketTracer<'a> {
                 if let Some(layers) = &mut self.layers {
                     sheet.iter().for_each(|of| layers.hide(of.pixel, 1.0 - seen[of.pixel].open as f32));
                 }
-                done(one, seen.map(|seen| seen.pixel(self.world.background)));
+                done(one, seen.map(|seen| self.world.pixel(&seen)));
             }
             first = number + 1;
             tree.begin();

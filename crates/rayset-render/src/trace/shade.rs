@@ -3,16 +3,20 @@
 
 use super::bounce::RefractionStates;
 use super::composite::{RayState, Shares};
+use super::display_values::all_from_linear;
 use super::node_samples::{Constants, NodeSamples, each_lane, numbers};
 use super::surfaces::{BATCH, Group, LightSource, Row, Surfaces, eight};
-use crate::field::{BLOCK_SAMPLES, LANES, Packet, SampleRow, SimdLevel, Slab, dispatch};
-use crate::scene::Lighting;
+use crate::field::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab, dispatch};
+use crate::scene::{Compositing, Lighting, Scene};
 
 /// The lights of a scene, and the outputs that all samples share.
 pub(super) struct Shader {
     /// `None` if the scene is unlit: samples then show the colours of their transfer functions.
     lights: Option<Vec<LightSource>>,
     constants: Constants,
+    /// Their colour as it is added up, if that is all the light there is.
+    flat_color: Option<[f32; 3]>,
+    compositing: Compositing,
     simd: SimdLevel,
 }
 
@@ -31,18 +35,25 @@ pub(super) struct SlabToShade<'a> {
 }
 
 impl Shader {
-    pub(super) fn new(lighting: &Lighting, constants: Constants, simd: SimdLevel) -> Self {
-        let lights = match lighting {
+    pub(super) fn new(scene: &Scene, constants: Constants, simd: SimdLevel) -> Self {
+        let lights = match &scene.lighting {
             Lighting::Unlit => None,
             Lighting::Lit(lights) => Some(lights.iter().map(LightSource::new).collect()),
         };
-        Self { lights, constants, simd }
+        let compositing = scene.compositing;
+        let flat_color = constants.color.filter(|_| lights.is_none()).map(|mut color| {
+            if compositing == Compositing::Display {
+                all_from_linear(&mut color);
+            }
+            color
+        });
+        Self { lights, constants, flat_color, compositing, simd }
     }
 
     /// The colour of all samples, if they share one and are unlit: a ray's colour then follows from
     /// its transmittance.
     pub(super) fn flat_color(&self) -> Option<[f32; 3]> {
-        self.constants.color.filter(|_| self.lights.is_none())
+        self.flat_color
     }
 
     /// Adds the light of the contributing samples to their rays.
@@ -76,15 +87,32 @@ impl Shader {
     fn shade_unlit(&self, SlabToShade { node, shares, .. }: SlabToShade<'_>, states: &mut [RayState; LANES]) {
         each_lane(shares.lanes(), |lane| {
             let mut samples = shares.samples[lane];
+            let displayed = self.displayed(node, lane);
             while samples != 0 {
                 let j = samples.trailing_zeros() as usize;
                 samples &= samples - 1;
-                let (share, color) = (shares.share[lane].0[j], self.constants.color_at(node, lane, j));
+                let share = shares.share[lane].0[j];
+                let color = match &displayed {
+                    Some(rows) => rows.each_ref().map(|row| row[j]),
+                    None => self.constants.color_at(node, lane, j),
+                };
                 for channel in 0..3 {
                     states[lane].color[channel] += share * color[channel];
                 }
             }
         });
+    }
+
+    /// The colours of the samples of a lane as display values, if these are composited.
+    fn displayed(&self, node: &NodeSamples, lane: usize) -> Option<[[f32; SLAB_SAMPLES]; 3]> {
+        let is_so = self.compositing == Compositing::Display;
+        is_so.then(|| {
+            node.color.each_ref().map(|rows| {
+                let mut row = rows[lane].0;
+                dispatch!(self.simd.level(), _simd => all_from_linear(&mut row));
+                row
+            })
+        })
     }
 
     /// Lights some samples and adds them to their rays.
@@ -108,6 +136,9 @@ impl Shader {
             }
             let from = light.arrives(packet, slab, surfaces);
             dispatch!(self.simd.level(), _simd => surfaces.light(light.color, &from, &reaching, &mut lit));
+        }
+        if self.compositing == Compositing::Display {
+            lit.iter_mut().for_each(|row| dispatch!(self.simd.level(), _simd => all_from_linear(row)));
         }
         for (number, group) in surfaces.groups().iter().enumerate() {
             let Group { lane, block, samples } = *group;

@@ -1,15 +1,17 @@
 //! A scene compiled for tracing: immutable, shared by all threads.
 
-use super::RenderError;
 use super::bounce::Bounces;
 use super::composite::Absorption;
+use super::display_values::{all_from_linear, pixel_to_linear};
 use super::predict::Foresight;
 use super::program::Program;
+use super::ray_tree::PixelLight;
 use super::shade::Shader;
 use super::shadow::ShadowWorld;
 use super::steps::StepRule;
+use super::{RenderError, SettingError};
 use crate::field::SimdLevel;
-use crate::scene::{Lighting, RenderSettings, Scene};
+use crate::scene::{Compositing, Lighting, RenderSettings, Scene};
 use rayset_files::PagedFiles;
 
 /// Everything that a thread needs to trace a packet.
@@ -26,7 +28,9 @@ pub(super) struct World {
     pub(super) bounces: Option<Bounces>,
     /// Whether layers are requested besides the colour of pixels.
     pub(super) layers: bool,
+    /// As it is composited.
     pub(super) background: Option<[f32; 3]>,
+    compositing: Compositing,
 }
 
 impl World {
@@ -38,7 +42,7 @@ impl World {
         paged: &PagedFiles,
     ) -> Result<Self, RenderError> {
         let program = Program::compile(scene, settings.purpose(), simd).open(paged)?;
-        let shader = Shader::new(&scene.lighting, program.constants, simd);
+        let shader = Shader::new(scene, program.constants, simd);
         let absorption = Absorption {
             unit_distance: scene.unit_distance,
             stop_transmittance: f64::from(settings.stop_transmittance),
@@ -52,6 +56,10 @@ impl World {
             boundary_steps: steps.boundary_steps(),
         };
         let turn_rays = bounces.turns.any() && bounces.max_depth > 0 && scene.lighting != Lighting::Unlit;
+        let compositing = scene.compositing;
+        if compositing == Compositing::Display && (turn_rays || settings.ambient_occlusion > 0.0) {
+            return Err(SettingError::Compositing.into());
+        }
         Ok(Self {
             shadows: ShadowWorld::compile(scene, settings, simd, paged, &steps, absorption)?,
             bounces: turn_rays.then_some(bounces),
@@ -61,7 +69,22 @@ impl World {
             shader,
             absorption,
             layers: settings.records_layers(),
-            background: scene.background,
+            background: scene.background.map(|mut color| {
+                if compositing == Compositing::Display {
+                    all_from_linear(&mut color);
+                }
+                color
+            }),
+            compositing,
         })
+    }
+
+    /// What a ray from the eye sees, in linear light, of what was composited.
+    pub(super) fn pixel(&self, seen: &PixelLight) -> [f32; 4] {
+        let pixel = seen.pixel(self.background);
+        match self.compositing {
+            Compositing::Linear => pixel,
+            Compositing::Display => pixel_to_linear(pixel),
+        }
     }
 }

@@ -11,7 +11,7 @@ use rayset::points::{
     ColorDepth, ColumnInfo, ColumnType, PointBatch, PointSource, ReadError, Schema, SliceSource, Values,
     Workload,
 };
-use rayset::scene::{GridObject, Node, Scene, Shape};
+use rayset::scene::{Compositing, GridObject, Node, Scene, Shape};
 use rayset::storage::{FileStorage, Storage};
 use rayset::trace::{ExecSettings, render_once};
 
@@ -119,6 +119,7 @@ fn a_grid_in_memory_is_used_where_it_is() {
             lighting: rayset::scene::Lighting::headlight(),
             background: None,
             unit_distance: 1.0,
+            compositing: Compositing::Linear,
         };
         let bounds = scene.root.bounds();
         let eye = bounds.center() + 1.5 * bounds.size().length() * rayset::geometry::DVec3::Z;

@@ -7,8 +7,9 @@ use rayset::geometry::DVec3;
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::points::{ArraySource, ColumnInfo, ColumnType, Values};
 use rayset::scene::{
-    Channel, CloudObject, ColorMap, ColorRule, Form, Lighting, MapInput, Node, OpacityRule, Operator,
-    Palette, Pattern, Procedural, RenderSettings, Scene, Shape, Solid, Step, Transfer, TransferFunction,
+    Channel, CloudObject, ColorMap, ColorRule, Compositing, Form, Lighting, MapInput, Node, OpacityRule,
+    Operator, Palette, Pattern, Procedural, RenderSettings, Scene, Shape, Solid, Step, Transfer,
+    TransferFunction,
 };
 use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 
@@ -34,7 +35,13 @@ fn block(opacity: f64) -> Node {
 }
 
 fn unlit(root: Node) -> Scene {
-    Scene { root: Arc::new(root), lighting: Lighting::Unlit, background: None, unit_distance: 0.1 }
+    Scene {
+        root: Arc::new(root),
+        lighting: Lighting::Unlit,
+        background: None,
+        unit_distance: 0.1,
+        compositing: Compositing::Linear,
+    }
 }
 
 fn with_transfer(mut node: Node, transfer: Transfer) -> Node {

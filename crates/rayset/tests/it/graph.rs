@@ -6,8 +6,8 @@ use rayset::field::Kernel;
 use rayset::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::scene::{
-    Channel, ColorMap, ColorRule, Form, Light, LightKind, Lighting, MapInput, Material, Node, NoiseCloud,
-    Operator, Pattern, RenderSettings, Scene, Shadows, Shape, Solid, Step, Transfer,
+    Channel, ColorMap, ColorRule, Compositing, Form, Light, LightKind, Lighting, MapInput, Material, Node,
+    NoiseCloud, Operator, Pattern, RenderSettings, Scene, Shadows, Shape, Solid, Step, Transfer,
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::predict::NoPredictor;
@@ -52,6 +52,7 @@ pub(crate) fn scene(root: Node, lights: Vec<Light>) -> Scene {
         lighting: if lights.is_empty() { Lighting::headlight() } else { Lighting::Lit(lights) },
         background: None,
         unit_distance: 0.15,
+        compositing: Compositing::Linear,
     }
 }
 

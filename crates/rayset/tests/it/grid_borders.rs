@@ -7,8 +7,8 @@ use rayset::geometry::DVec3;
 use rayset::grid::build::{GridBuildOptions, build};
 use rayset::grid::{Grid, VoxelKind};
 use rayset::scene::{
-    Camera, ColorRule, GridObject, Light, LightKind, Lighting, Node, OpacityRule, Projection, RenderSettings,
-    Scene, Shape, Step, TransferFunction,
+    Camera, ColorRule, Compositing, GridObject, Light, LightKind, Lighting, Node, OpacityRule, Projection,
+    RenderSettings, Scene, Shape, Step, TransferFunction,
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
@@ -47,6 +47,7 @@ fn scene(grid: &Arc<Grid>, lit: bool) -> Scene {
         lighting: if lit { Lighting::Lit(vec![headlight]) } else { Lighting::Unlit },
         background: None,
         unit_distance: 1.0,
+        compositing: Compositing::Linear,
     }
 }
 

@@ -8,8 +8,8 @@ use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::grid::build::{GridBuildError, GridBuildOptions, build};
 use rayset::grid::{Grid, VoxelKind};
 use rayset::scene::{
-    ColorMap, ColorRule, Form, GridObject, Lighting, MapInput, Node, OpacityRule, Operator, RenderSettings,
-    Scene, Shape, Solid, Step,
+    ColorMap, ColorRule, Compositing, Form, GridObject, Lighting, MapInput, Node, OpacityRule, Operator,
+    RenderSettings, Scene, Shape, Solid, Step,
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
@@ -71,7 +71,13 @@ pub(crate) fn object(grid: &Arc<Grid>, shift: f64) -> Node {
 }
 
 fn scene(root: Node) -> Scene {
-    Scene { root: Arc::new(root), lighting: Lighting::headlight(), background: None, unit_distance: 0.1 }
+    Scene {
+        root: Arc::new(root),
+        lighting: Lighting::headlight(),
+        background: None,
+        unit_distance: 0.1,
+        compositing: Compositing::Linear,
+    }
 }
 
 #[test]

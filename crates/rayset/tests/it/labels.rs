@@ -9,8 +9,8 @@ use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::grid::build::{GridBuildOptions, build};
 use rayset::grid::{Grid, VoxelKind};
 use rayset::scene::{
-    ColorMap, ColorRule, Form, GridObject, Lighting, MapInput, Node, OpacityRule, Operator, Palette,
-    RenderSettings, Scene, Shape, Solid, Step, TransferFunction,
+    ColorMap, ColorRule, Compositing, Form, GridObject, Lighting, MapInput, Node, OpacityRule, Operator,
+    Palette, RenderSettings, Scene, Shape, Solid, Step, TransferFunction,
 };
 use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 use rayset::volumes::{self, RawLayout, VolumeSource};
@@ -112,6 +112,7 @@ fn labels_agree_with_the_reference_renderer_alone_and_cut_open() {
                 lighting: Lighting::headlight(),
                 background: None,
                 unit_distance: 0.05,
+                compositing: Compositing::Linear,
             };
             let settings = RenderSettings { step: Step::Fixed(0.02), ..settings(SIDE, SIDE) };
             let found = plain_picture(&scene, &settings);
@@ -137,7 +138,13 @@ fn no_sample_has_a_colour_between_two_labels() {
     let folder = folder();
     let grid = grid(folder.path(), VoxelKind::I16);
     let root = Arc::new(node(&grid, [1.0; 4]));
-    let scene = Scene { root, lighting: Lighting::Unlit, background: None, unit_distance: 1e-4 };
+    let scene = Scene {
+        root,
+        lighting: Lighting::Unlit,
+        background: None,
+        unit_distance: 1e-4,
+        compositing: Compositing::Linear,
+    };
     let found = plain_picture(&scene, &settings(64, 64));
     let opaque = || found.iter().filter(|pixel| pixel[3] > 0.999);
     let of_colors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0]]

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use rayset::geometry::{DAffine3, DVec3};
 use rayset::image::LayerPixel;
 use rayset::scene::{
-    Camera, Form, Lighting, Node, OpacityRule, Operator, Projection, RenderSettings, Samples, Scene, Shape,
-    Step,
+    Camera, Compositing, Form, Lighting, Node, OpacityRule, Operator, Projection, RenderSettings, Samples,
+    Scene, Shape, Step,
 };
 use rayset::trace::{ExecSettings, Picture, render_once};
 
@@ -95,6 +95,7 @@ fn layers_tell_distance_leaf_colour_and_normal_of_what_is_seen() {
     let near = Node::operator(Operator::Intersection, [wall(1.0, [0.25, 0.5, 0.75]), right]);
     let scene = Scene {
         unit_distance: 0.01,
+        compositing: Compositing::Linear,
         lighting: Lighting::Unlit,
         background: Some([1.0; 3]),
         ..scene(Node::operator(Operator::Union, [near, wall(-1.0, [0.75, 0.25, 0.5])]), vec![])

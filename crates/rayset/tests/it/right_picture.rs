@@ -26,6 +26,7 @@ const PIXEL_BOUND: f64 = 1.0 / 1024.0;
 pub(crate) fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLevel) {
     let header = cloud.header();
     let columns = AttributeColumns {
+        color_as_displayed: false,
         color: header.has_color,
         scalars: (0..header.attributes.len() + 3).collect(),
         labels: Vec::new(),

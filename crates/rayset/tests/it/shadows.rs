@@ -7,8 +7,8 @@ use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::octree::build::BuildOptions;
 use rayset::points::ArraySource;
 use rayset::scene::{
-    Camera, Form, Light, LightKind, Lighting, Node, NoiseCloud, Operator, Pattern, RenderSettings, Scene,
-    Shadows, Shape, Solid, Step,
+    Camera, Compositing, Form, Light, LightKind, Lighting, Node, NoiseCloud, Operator, Pattern,
+    RenderSettings, Scene, Shadows, Shape, Solid, Step,
 };
 use rayset::trace::predict::NoPredictor;
 use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
@@ -64,6 +64,7 @@ fn kind(name: &'static str, parts: Vec<Node>, lights: Vec<Light>) -> Kind {
         lighting: Lighting::Lit(std::iter::once(ambient).chain(lights).collect()),
         background: None,
         unit_distance: 0.01,
+        compositing: Compositing::Linear,
     };
     let camera =
         Camera::look_at(DVec3::new(0.4, 2.4, 2.0), DVec3::new(0.0, 0.2, 0.0), DVec3::Y, 38_f64.to_radians());

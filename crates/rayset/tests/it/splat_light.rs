@@ -2,17 +2,19 @@
 
 use std::sync::Arc;
 
-use rayset::field::Kernel;
+use rayset::field::{Kernel, linear_from_srgb};
 use rayset::geometry::{DAffine3, DMat3, DQuat, DVec3};
+use rayset::image::srgb_from_linear;
 use rayset::octree::Cloud;
 use rayset::octree::build::{BuildOptions, run_in_memory};
 use rayset::points::{ArraySource, PointSource};
 use rayset::scene::{
-    CloudObject, Form, Node, OpacityRule, Operator, RenderSettings, Scene, SceneError, Shape, Step,
-    TransferError,
+    CloudObject, Compositing, Form, Material, Node, OpacityRule, Operator, RenderSettings, Scene, SceneError,
+    Shape, Step, TransferError,
 };
+use rayset::trace::{ExecSettings, RenderError, SettingError};
 
-use crate::common::{Random, look, plain_picture, scene_of, settings};
+use crate::common::{Random, camera, look, paged, picture, plain_picture, scene_of, settings};
 use crate::graph::solid;
 use crate::right_picture::count_wrong_pixels;
 use crate::steps_by_place;
@@ -141,14 +143,74 @@ fn splats_are_right_lit_and_cut_and_under_any_transform() {
             // Most splats absorb more of a unit than other objects may.
             scene.unit_distance = 0.03;
             let settings = RenderSettings { step: Step::Fixed(step), ..settings(48, 48) };
-            let wrong = count_wrong_pixels(&scene, &settings, step, 300);
-            assert!(wrong <= 1, "scene {i}: {wrong} of 300 pixels beyond 1/1024");
+            for compositing in [Compositing::Display, Compositing::Linear] {
+                scene.compositing = compositing;
+                let wrong = count_wrong_pixels(&scene, &settings, step, 300);
+                assert!(wrong <= 1, "scene {i}, {compositing:?}: {wrong} of 300 pixels beyond 1/1024");
+            }
             if i == 0 {
                 let differing = steps_by_place::count_differing(&scene);
                 assert!(differing <= 2, "automatic steps: {differing} pixels differ");
             }
         }
     }
+}
+
+#[test]
+fn display_values_are_composited_as_splat_renderers_do() {
+    let flat = |z: f64, opacity: f64| {
+        (DVec3::new(0.0, 0.0, z), DVec3::new(0.6, 0.6, 0.05), DQuat::IDENTITY, opacity)
+    };
+    let (front, back) = (flat(0.6, 0.5), flat(-0.6, 0.97));
+    let behind = [0.6_f32, 0.05, 0.3];
+    let width = 32;
+    let mut scene = scene_of(object(&built(&[back, front])), false);
+    (scene.background, scene.compositing) = (Some(behind), Compositing::Display);
+    let settings = RenderSettings { stop_transmittance: 0.0, ..settings(width, width) };
+    let picture = plain_picture(&scene, &settings);
+    let mut farthest_from_linear = 0.0_f64;
+    for (i, pixel) in picture.iter().enumerate() {
+        let passes = |splat: Splat| left(&[splat], width, (i as u32 % width, i as u32 / width)).0;
+        let (of_front, of_back) = (passes(front), passes(back));
+        let over = |front: f64, back: f64, behind: f64| {
+            (1.0 - of_front) * front + of_front * ((1.0 - of_back) * back + of_back * behind)
+        };
+        // Colours in the file are bytes.
+        let bytes = |c: f64| (c * 255.0).round() / 255.0;
+        let colors = [[0.5, 0.97], [0.5, 0.03], [0.5, 0.5]].map(|pair| pair.map(bytes));
+        for ((shown, [front, back]), behind) in pixel.iter().zip(colors).zip(behind) {
+            let shown = srgb_from_linear(f64::from(*shown));
+            let displayed = over(front, back, srgb_from_linear(f64::from(behind)));
+            assert!((shown - displayed).abs() < 3e-3, "pixel {i}: {shown}, {displayed}");
+            let linear = over(linear_from_srgb(front), linear_from_srgb(back), f64::from(behind));
+            farthest_from_linear = farthest_from_linear.max((shown - srgb_from_linear(linear)).abs());
+        }
+    }
+    assert!(farthest_from_linear > 0.05, "linear light would differ by {farthest_from_linear} at most");
+    scene.background = None;
+    let open = plain_picture(&scene, &settings);
+    let open = open.iter().zip(&picture).filter(|(open, whole)| open[3] > 0.5 && open[0] <= whole[0]);
+    assert!(open.count() > 50);
+}
+
+#[test]
+fn display_values_are_not_composited_where_light_is_added_after_the_fact() {
+    let cloud = built(&splats(10, 0.1, 0.9, 3));
+    let render = |scene: &Scene, settings: &RenderSettings| {
+        picture(scene, &camera(), settings, &ExecSettings::default(), &paged(scene, u64::MAX / 2))
+    };
+    let refused = |scene: &Scene, settings: &RenderSettings| {
+        matches!(render(scene, settings), Err(RenderError::Setting(SettingError::Compositing)))
+    };
+    let mut scene = scene_of(object(&cloud), true);
+    scene.compositing = Compositing::Display;
+    let plain = settings(8, 8);
+    assert!(refused(&scene, &RenderSettings { ambient_occlusion: 1.0, ..plain }));
+    assert!(render(&scene, &plain).is_ok());
+    let mut mirror = Node::new(Shape::Cloud(object(&cloud)));
+    mirror.material = Some(Material { reflectance: 0.5, ..Material::default() });
+    scene.root = Arc::new(mirror);
+    assert!(refused(&scene, &plain));
 }
 
 #[test]

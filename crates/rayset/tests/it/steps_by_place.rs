@@ -11,8 +11,8 @@ use rayset::octree::Cloud;
 use rayset::octree::build::BuildOptions;
 use rayset::points::ArraySource;
 use rayset::scene::{
-    Form, Light, LightKind, Lighting, Node, NoiseCloud, OpacityRule, Operator, Pattern, RenderSettings,
-    Scene, Shadows, Shape, Step,
+    Compositing, Form, Light, LightKind, Lighting, Node, NoiseCloud, OpacityRule, Operator, Pattern,
+    RenderSettings, Scene, Shadows, Shape, Step,
 };
 use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 
@@ -51,7 +51,13 @@ fn node(cloud: &Arc<Cloud>, depth_of_largest: f64) -> Node {
 }
 
 fn unlit(root: Node) -> Scene {
-    Scene { root: Arc::new(root), lighting: Lighting::Unlit, background: None, unit_distance: 0.1 }
+    Scene {
+        root: Arc::new(root),
+        lighting: Lighting::Unlit,
+        background: None,
+        unit_distance: 0.1,
+        compositing: Compositing::Linear,
+    }
 }
 
 fn lit(root: Node) -> Scene {

@@ -9,7 +9,8 @@ use crate::field::{
     SampleRow, SimdLevel, dispatch,
 };
 use crate::math::{absorbed, ln};
-use crate::scene::{CloudObject, ColorRule, MAX_OPACITY, MapInput, OpacityRule};
+use crate::scene::{CloudObject, ColorRule, Compositing, MAX_OPACITY, MapInput, OpacityRule, Scene};
+use crate::trace::display_values::all_to_linear;
 use crate::trace::knots::Curve;
 use crate::trace::node_samples::{
     MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, ZERO, above, each_lane,
@@ -59,6 +60,7 @@ pub(in crate::trace) struct CloudShading {
     pub(in crate::trace) decoder: RunDecoder,
     /// What the cloud's field carries. The colour, or the attribute it is mapped from, comes first.
     columns: AttributeColumns,
+    compositing: Compositing,
     /// For each attribute of the program, its channel; `None` if the cloud does not have it.
     named: Vec<Option<Carried>>,
     color: Color,
@@ -89,9 +91,10 @@ impl CloudShading {
     pub(in crate::trace) fn new(
         object: &CloudObject,
         local_from_world: Option<&DAffine3>,
-        unit_distance: f64,
+        scene: &Scene,
         material: [f32; MATERIAL],
     ) -> Self {
+        let unit_distance = scene.unit_distance;
         let header = object.cloud.header();
         let color = match &object.transfer.color {
             ColorRule::Uniform(color) => Color::Uniform(*color),
@@ -116,6 +119,7 @@ impl CloudShading {
             material,
             decoder: RunDecoder::new(header, object.kernel, object.normalised, AttributeColumns::default()),
             columns: AttributeColumns::default(),
+            compositing: scene.compositing,
             named: Vec::new(),
             color,
             boundary_density: object.transfer.opacity.boundary_density(unit_distance) as f32,
@@ -135,6 +139,7 @@ impl CloudShading {
         let mut columns = AttributeColumns::default();
         if required.color {
             columns.color = matches!(self.color, Color::Points);
+            columns.color_as_displayed = columns.color && self.compositing == Compositing::Display;
             if let Color::Map { attribute: Some(attribute), carried, .. } = &mut self.color {
                 *carried = Some(Carried::new(header, *attribute, &mut columns));
             }
@@ -174,7 +179,7 @@ impl CloudShading {
         }
         each_lane(field.touched, |lane| {
             if required.color {
-                self.fill_color(field, lane, ends.map(|ends| ends[lane]), out);
+                self.fill_color(field, lane, ends.map(|ends| ends[lane]), simd, out);
             }
             for number in numbers(required.attributes) {
                 self.fill_attribute(field, lane, number, out);
@@ -231,7 +236,14 @@ impl CloudShading {
 
     /// Fills the colours of a lane. Those that are mapped are left out behind the optical depth
     /// `end`.
-    fn fill_color(&self, field: &FieldSamples, lane: usize, end: Option<f32>, out: &mut NodeSamples) {
+    fn fill_color(
+        &self,
+        field: &FieldSamples,
+        lane: usize,
+        end: Option<f32>,
+        simd: SimdLevel,
+        out: &mut NodeSamples,
+    ) {
         let density = &field.density[lane].0;
         match &self.color {
             Color::Uniform(color) => {
@@ -242,6 +254,9 @@ impl CloudShading {
             Color::Points => {
                 for (channel, rows) in out.color.iter_mut().enumerate() {
                     rows[lane] = self.mean(field, lane, channel);
+                    if self.columns.color_as_displayed {
+                        dispatch!(simd.level(), _simd => all_to_linear(&mut rows[lane].0));
+                    }
                 }
             }
             Color::Map { table, carried, .. } => {

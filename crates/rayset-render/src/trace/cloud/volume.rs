@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::placement::CloudPlacement;
 use super::shading::CloudShading;
-use crate::scene::CloudObject;
+use crate::scene::{CloudObject, Scene};
 use crate::trace::node_samples::MATERIAL;
 use crate::trace::unopened::Unopened;
 use rayset_base::geometry::DAffine3;
@@ -21,11 +21,11 @@ impl CloudVolume<Unopened> {
     pub(in crate::trace) fn new(
         object: &CloudObject,
         world_from_local: &DAffine3,
-        unit_distance: f64,
+        scene: &Scene,
         material: [f32; MATERIAL],
     ) -> Self {
         let placement = CloudPlacement::new(object, world_from_local);
-        let shading = CloudShading::new(object, placement.local_from_world(), unit_distance, material);
+        let shading = CloudShading::new(object, placement.local_from_world(), scene, material);
         Self { placement, shading }
     }
 

@@ -238,7 +238,7 @@ impl Task for Counting {
 mod tests {
     use super::*;
     use crate::field::SimdLevel;
-    use crate::scene::{Form, Node, Operator, RenderSettings, Scene, Shape, Solid};
+    use crate::scene::{Compositing, Form, Node, Operator, RenderSettings, Scene, Shape, Solid};
     use crate::trace::engine::ExecSettings;
     use crate::trace::program::Purpose;
     use rayset_base::geometry::{DVec3, Ray};
@@ -258,6 +258,7 @@ mod tests {
             lighting: crate::scene::Lighting::Unlit,
             background: None,
             unit_distance: 1.0,
+            compositing: Compositing::Linear,
         };
         let backend = read::backend(BackendKind::Pool).expect("a pool");
         let files = PagedFiles::new(WorkingSet::new(Limits::total(1 << 20), backend));

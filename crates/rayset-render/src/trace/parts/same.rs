@@ -149,7 +149,11 @@ fn files(scene: &Scene) -> String {
 fn scene_identity(scene: &Scene) -> String {
     let mut text = Hashed(StreamHash::new("scene"));
     // Writing into a hash does not fail.
-    let _ = write!(text, "{:?} {:?} {:?}", scene.lighting, scene.background, scene.unit_distance);
+    let _ = write!(
+        text,
+        "{:?} {:?} {:?} {:?}",
+        scene.lighting, scene.background, scene.unit_distance, scene.compositing
+    );
     let _ = write_node(&scene.root, &mut HashMap::new(), &mut text);
     text.0.identity().to_string()
 }

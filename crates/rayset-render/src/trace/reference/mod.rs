@@ -16,11 +16,11 @@ use std::sync::Arc;
 use self::sample::{Sample, combine};
 use self::shared::SharedShadows;
 use crate::field::reference::{ReferenceField, ReferenceSample};
-use crate::field::{AttributeColumns, Kernel};
+use crate::field::{AttributeColumns, Kernel, linear_from_srgb};
 use crate::scene::{
-    Camera, CameraError, Channel, CloudObject, ColorRule, GridObject, LightKind, Lighting, MAX_OPACITY,
-    MOST_ATTRIBUTES, MapInput, Material, Node, OpacityRule, Operator, Procedural, RenderSettings, Scene,
-    Shape, Transfer,
+    Camera, CameraError, Channel, CloudObject, ColorRule, Compositing, GridObject, LightKind, Lighting,
+    MAX_OPACITY, MOST_ATTRIBUTES, MapInput, Material, Node, OpacityRule, Operator, Procedural,
+    RenderSettings, Scene, Shape, Transfer,
 };
 use rayset_base::geometry::{DAffine3, DMat3, DVec3, Ray};
 use rayset_store::container::ScanError;
@@ -148,6 +148,7 @@ impl<'a> ReferenceRenderer<'a> {
                 let header = object.cloud.header();
                 let everything = AttributeColumns {
                     color: header.has_color,
+                    color_as_displayed: self.scene.compositing == Compositing::Display,
                     scalars: (0..header.attributes.len() + 3).collect(),
                     labels: Vec::new(),
                 };
@@ -346,7 +347,10 @@ impl<'a> ReferenceRenderer<'a> {
         let scalar = |index: usize| mean(index + if header.has_color { 3 } else { 0 });
         let color = match &object.transfer.color {
             ColorRule::Uniform(c) => c.map(f64::from),
-            ColorRule::Points => [mean(0), mean(1), mean(2)],
+            ColorRule::Points => {
+                let mean = [mean(0), mean(1), mean(2)];
+                if self.displays() { mean.map(linear_from_srgb) } else { mean }
+            }
             ColorRule::Map { map, input: MapInput::Attribute(index) } => maps::color(map, scalar(*index)),
             ColorRule::Map { map, input: MapInput::Density } => maps::color(map, s.density),
         };
@@ -359,6 +363,11 @@ impl<'a> ReferenceRenderer<'a> {
             rule => rule.opacity(s.density, unit),
         };
         Sample { opacity, color, normal, boundary, material: node.material.to_array(), attributes }
+    }
+
+    /// Whether display values are composited.
+    fn displays(&self) -> bool {
+        self.scene.compositing == Compositing::Display
     }
 
     /// The values of all attributes that are read anywhere, for one object; 0 for those it lacks.

@@ -3,6 +3,8 @@
 use super::shared::SharedShadows;
 use super::steps::Place;
 use super::{Position, Purpose, ReferencePixel, ReferenceRenderer, ReferenceSteps};
+use crate::field::linear_from_srgb;
+use crate::image::srgb_from_linear;
 use crate::scene::{Camera, CameraError, Lighting, Material, RenderSettings};
 use rayset_base::geometry::{DAffine3, DVec3, Ray};
 
@@ -57,13 +59,20 @@ impl ReferenceRenderer<'_> {
         let sample_offset = settings.sample_offset_of(x, y);
         let eye = Course::from_eye(ray);
         let (color, transmittance) = self.follow(settings, &eye, sample_offset, steps);
-        Ok(match self.scene.background {
+        let composited = |light: f64| if self.displays() { srgb_from_linear(light) } else { light };
+        let pixel = match self.scene.background {
             Some(b) => {
-                let behind = |c: usize| color[c] + transmittance * f64::from(b[c]);
+                let behind = |c: usize| color[c] + transmittance * composited(f64::from(b[c]));
                 [behind(0), behind(1), behind(2), 1.0]
             }
             None => [color[0], color[1], color[2], 1.0 - transmittance],
-        })
+        };
+        let [red, green, blue, opacity] = pixel;
+        if !self.displays() || opacity <= 0.0 {
+            return Ok(pixel);
+        }
+        let [red, green, blue] = [red, green, blue].map(|v| linear_from_srgb(v / opacity) * opacity);
+        Ok([red, green, blue, opacity])
     }
 
     /// The light of a ray and of all rays that follow from it, and the fraction of the background
@@ -139,6 +148,7 @@ impl ReferenceRenderer<'_> {
             let share = transmittance * (1.0 - passed);
             shadows.comes_to((number, step), course.weight * share);
             let lit = self.lit(settings, (ray, q), &sample, sample_offset, (steps, step), &mut shadows);
+            let lit = if self.displays() { lit.map(srgb_from_linear) } else { lit };
             let own = share * DVec3::from_array(lit);
             let reflectance = if turns && sample.material[5] == 1.0 { sample.material[4] } else { 0.0 };
             light += (1.0 - reflectance) * own;
