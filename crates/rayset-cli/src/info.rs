@@ -58,6 +58,8 @@ struct Info {
     /// The step of the coordinates that were read, if the inputs say so.
     step: Option<[f64; 3]>,
     color: bool,
+    /// Degree of the harmonics by which colours change with the direction.
+    color_degree: u8,
     attributes: Vec<Attribute>,
     crs: String,
     /// The unit of lengths, as the reference system has it.
@@ -200,6 +202,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<()> {
         position_error_radii: h.position_error_radii,
         step: h.step,
         color: h.has_color,
+        color_degree: h.harmonics,
         attributes: h.attributes.iter().map(Attribute::of).collect(),
         crs: h.crs.clone(),
         length_unit: of_reference_system(&h.crs).map_or_else(|| of_header(h), |space| space.unit),
@@ -343,7 +346,12 @@ fn describe(info: &Info, radius: Column, weight: Column) -> Result<()> {
         "positions   within {:.3e} of those read{steps}, {:.3e} of a radius",
         info.position_error, info.position_error_radii
     ));
-    report::say(format_args!("colours     {}", if info.color { "yes" } else { "no" }));
+    let of_colors = match (info.color, info.color_degree) {
+        (false, _) => "no".to_owned(),
+        (true, 0) => "yes".to_owned(),
+        (true, degree) => format!("by direction: harmonics of degree {degree}"),
+    };
+    report::say(format_args!("colours     {of_colors}"));
     for a in &info.attributes {
         let unit = units::readable(&a.name, &a.unit);
         let unit = if unit.is_empty() { unit } else { format!(" {unit}") };

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use rayset::points::{ColumnInfo, PointSource, ROUND_RADIUS, SHAPE_COLUMNS};
+use rayset::points::{ColumnInfo, HARMONIC, HARMONIC_CONSTANTS, PointSource, ROUND_RADIUS, SHAPE_COLUMNS};
 
 use crate::host::Host;
 use crate::speed::{SPEED, is_velocity};
@@ -19,6 +19,11 @@ const OWN: [&str; 8] = ["radius", "weight", "red", "green", "blue", "nx", "ny", 
 /// Whether a column belongs to the shapes of ellipsoids, which a cloud keeps by itself.
 fn is_of_shapes(name: &str) -> bool {
     SHAPE_COLUMNS.contains(&name) || name == ROUND_RADIUS
+}
+
+/// Whether a column has coefficients of the colours of all directions, which a cloud keeps, too.
+fn is_of_harmonics(name: &str) -> bool {
+    name.starts_with(HARMONIC) || HARMONIC_CONSTANTS.contains(&name)
 }
 
 /// Columns that are kept, and those left out because of what they cost.
@@ -82,8 +87,12 @@ fn chosen<S: PointSource + ?Sized>(sources: &[Box<S>], most_bytes: usize) -> Col
     let Some((first, others)) = sources.split_first() else { return columns };
     let schema = first.schema();
     let has_shapes = SHAPE_COLUMNS.iter().all(|name| schema.find(name).is_some());
+    let has_harmonics = schema.harmonics().0 > 0;
     let is_own = |index: usize, column: &ColumnInfo| {
         if has_shapes && is_of_shapes(&column.name) {
+            return true;
+        }
+        if has_harmonics && is_of_harmonics(&column.name) {
             return true;
         }
         let plays = |role: &&str| schema.find(role) == Some(index);

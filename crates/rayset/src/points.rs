@@ -9,8 +9,9 @@
 #[doc(hidden)]
 pub use rayset_files::points::WorkloadView;
 pub use rayset_files::points::{
-    ColorDepth, ColumnInfo, ColumnLengthError, ColumnSlice, ColumnType, Place, PointBatch, PointSource,
-    PositionSlice, ROUND_RADIUS, ReadError, SHAPE_COLUMNS, Schema, SliceSource, Values, Workload,
+    ColorDepth, ColumnInfo, ColumnLengthError, ColumnSlice, ColumnType, HARMONIC, HARMONIC_CONSTANTS, Place,
+    PointBatch, PointSource, PositionSlice, ROUND_RADIUS, ReadError, SHAPE_COLUMNS, Schema, SliceSource,
+    Values, Workload,
 };
 #[doc(hidden)]
 pub use rayset_formats::points::InTurn;

@@ -4,12 +4,13 @@
 //! `docs/format.md` describes the same tables in prose. The surrounding container format is in
 //! [`rayset_store::container`].
 
+use super::harmonics::{self, MOST_DEGREE};
 use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell, nodes_per_page};
 use crate::points::ColumnType;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::{
-    BLOCK_BYTES, FileHeader, FileKind, Identity, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader, SHAPE,
-    SectionKind, Writer,
+    BLOCK_BYTES, FileHeader, FileKind, HARMONICS, Identity, OpenError, OpenFile, PAGE_HEAD_BYTES, Reader,
+    SHAPE, SectionKind, Writer,
 };
 
 /// The first eight bytes of every cloud file.
@@ -136,6 +137,8 @@ pub struct Header {
     pub position_error_radii: f64,
     /// Whether points have colours.
     pub has_color: bool,
+    /// Degree of the spherical harmonics by which colours change with the direction, 0 to 3.
+    pub harmonics: u8,
     /// The least and the largest of the points' details, world space, if each stores a shape;
     /// `None` if all points are balls. See [`details`](Self::details).
     pub shape: Option<(f32, f32)>,
@@ -171,10 +174,12 @@ enum Role {
     Color = 2,
     Attribute = 3,
     Shape = 4,
+    Harmonics = 5,
 }
 
 impl Role {
-    const ALL: [Self; 5] = [Self::Radius, Self::Weight, Self::Color, Self::Attribute, Self::Shape];
+    const ALL: [Self; 6] =
+        [Self::Radius, Self::Weight, Self::Color, Self::Attribute, Self::Shape, Self::Harmonics];
 
     /// Its place in the order of the columns of a run.
     fn place(self) -> u8 {
@@ -182,8 +187,9 @@ impl Role {
             Self::Radius => 0,
             Self::Weight => 1,
             Self::Color => 2,
-            Self::Shape => 3,
-            Self::Attribute => 4,
+            Self::Harmonics => 3,
+            Self::Shape => 4,
+            Self::Attribute => 5,
         }
     }
 }
@@ -260,7 +266,8 @@ impl Header {
     #[inline]
     pub(super) fn layout_before_shape(&self) -> ColumnLayout {
         let four = [self.radius.is_stored(), self.weight.is_stored(), self.has_color];
-        four.iter().filter(|&&stored| stored).fold(ColumnLayout::default(), |l, _| l.with(4))
+        let layout = four.iter().filter(|&&stored| stored).fold(ColumnLayout::default(), |l, _| l.with(4));
+        layout.with(harmonics::stored_bytes(self.harmonics))
     }
 
     /// Encodes the section `CLOU`.
@@ -300,6 +307,10 @@ impl Header {
         if self.has_color {
             let color = AttributeInfo { kind: ColumnType::U8, max: 255.0, ..shared(Column::Constant(0.0)) };
             columns.push((Role::Color, true, color));
+        }
+        if self.harmonics > 0 {
+            let degree = shared(Column::Constant(self.harmonics.into()));
+            columns.push((Role::Harmonics, true, AttributeInfo { kind: ColumnType::U8, ..degree }));
         }
         if let Some((min, max)) = self.shape {
             let details = shared(Column::Varying { min, max });
@@ -369,6 +380,7 @@ impl Header {
             radius: Column::Constant(1.0),
             weight: Column::Constant(1.0),
             has_color: false,
+            harmonics: 0,
             shape: None,
             attributes: Vec::new(),
             crs: String::new(),
@@ -405,7 +417,9 @@ impl Header {
             if seen.is_some_and(|before| {
                 before.place() > role.place() || (before == role && role != Role::Attribute)
             }) {
-                return Err("the columns are not in the order radius, weight, colour, shape, attributes");
+                return Err(
+                    "the columns are not in the order radius, weight, colour, harmonics, shape, attributes",
+                );
             }
             seen = Some(role);
             if !(min <= max) {
@@ -413,7 +427,7 @@ impl Header {
             }
             let expected = match role {
                 Role::Radius | Role::Weight => ColumnType::F32,
-                Role::Color => ColumnType::U8,
+                Role::Color | Role::Harmonics => ColumnType::U8,
                 Role::Shape => ColumnType::U16,
                 Role::Attribute => kind,
             };
@@ -434,6 +448,10 @@ impl Header {
                 Role::Radius => (self.radius, has_radius) = (shared, true),
                 Role::Weight => (self.weight, has_weight) = (shared, true),
                 Role::Color => self.has_color = is_stored,
+                Role::Harmonics if !(min == max && (1.0..=f64::from(MOST_DEGREE)).contains(&min)) => {
+                    return Err("harmonics of another degree than 1, 2 or 3");
+                }
+                Role::Harmonics => self.harmonics = min as u8,
                 Role::Shape => self.shape = Some((min as f32, max as f32)),
                 Role::Attribute if self.attributes.iter().any(|a| a.name == name) => {
                     return Err("two attributes of one name");
@@ -454,6 +472,12 @@ impl Header {
         debug_assert_eq!(file.kind, FileKind::Cloud);
         if self.shape.is_some() != (file.required_features & SHAPE != 0) {
             return Err("shapes of points without the feature that they require, or the reverse");
+        }
+        if (self.harmonics > 0) != (file.required_features & HARMONICS != 0) {
+            return Err("harmonics without the feature that they require, or the reverse");
+        }
+        if self.harmonics > 0 && !self.has_color {
+            return Err("harmonics of points without colours");
         }
         let in_place = |kind, first_page: u32| {
             file.section(kind).is_none_or(|s| s.offset == self.page_offset(first_page))

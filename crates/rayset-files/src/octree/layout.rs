@@ -50,6 +50,7 @@ impl ColumnLayout {
     #[must_use]
     pub fn with(self, value_bytes: usize) -> Self {
         match value_bytes {
+            0 => self,
             1 => Self { bytes: self.bytes + 1, ..self },
             2 => Self { halves: self.halves + 1, ..self },
             wide => Self { words: self.words + wide as u32, ..self },

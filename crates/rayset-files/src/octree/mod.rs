@@ -8,6 +8,7 @@
 pub mod build;
 pub mod file;
 pub mod format;
+pub mod harmonics;
 pub mod layout;
 mod near;
 pub mod node;

@@ -4,6 +4,7 @@
 //! decoding to coordinates about the run's centre is exact in `f32` for the usual 16-bit encoding.
 
 use super::format::Header;
+use super::harmonics;
 use super::layout::{ColumnLayout, RUN_HEAD_BYTES, RUN_POINTS, RootCell};
 use super::shape::{SHAPE_COLUMNS, StoredShape};
 use rayset_base::geometry::{Aabb, DVec3};
@@ -397,6 +398,18 @@ impl<'a> Run<'a> {
         header
             .has_color
             .then(|| self.words(self.column_start() + 4 * n * column, n).map(|w| [w[0], w[1], w[2]]))
+    }
+
+    /// The bytes of the coefficients of all points, [so many](harmonics::stored_bytes) of each, if
+    /// the header says that there are any.
+    #[inline]
+    pub fn harmonics(&self, header: &Header) -> Option<&'a [u8]> {
+        if header.harmonics == 0 {
+            return None;
+        }
+        let n = self.head.len();
+        let end = self.column_start() + header.layout_before_shape().run_bytes(n);
+        Some(&self.data[end - n * harmonics::stored_bytes(header.harmonics)..end])
     }
 
     /// The shapes, if the header says that there are any.

@@ -20,6 +20,8 @@ pub struct RunColumns<'a> {
     pub weight: Option<&'a [f32]>,
     /// Colours, if they are stored.
     pub color: Option<&'a [[u8; 3]]>,
+    /// The bytes of the coefficients of all points; empty if none are stored.
+    pub harmonics: &'a [u8],
     /// Shapes, if they are stored.
     pub shape: Option<&'a [StoredShape]>,
     /// Attribute columns, each value in its own type, little-endian.
@@ -103,6 +105,7 @@ pub fn encode_run(run: &RunColumns<'_>, root: RootCell, precision: f64, data: &m
     if let Some(color) = run.color {
         color.iter().for_each(|c| data.extend_from_slice(&[c[0], c[1], c[2], 0]));
     }
+    data.extend_from_slice(run.harmonics);
     if let Some(shapes) = run.shape {
         for word in 0..SHAPE_COLUMNS {
             shapes.iter().for_each(|shape| data.extend_from_slice(&shape.0[word].to_le_bytes()));

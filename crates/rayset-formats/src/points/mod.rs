@@ -44,9 +44,9 @@ mod velodyne;
 mod vtk;
 
 pub use rayset_files::points::{
-    ArraySource, ColorDepth, ColumnInfo, ColumnLengthError, ColumnSlice, ColumnType, Place, PointBatch,
-    PointSource, PositionSlice, ROUND_RADIUS, ReadError, SHAPE_COLUMNS, Schema, SliceSource, Values,
-    Workload, WorkloadView, roles,
+    ArraySource, ColorDepth, ColumnInfo, ColumnLengthError, ColumnSlice, ColumnType, HARMONIC,
+    HARMONIC_CONSTANTS, Place, PointBatch, PointSource, PositionSlice, ROUND_RADIUS, ReadError,
+    SHAPE_COLUMNS, Schema, SliceSource, Values, Workload, WorkloadView, roles,
 };
 
 pub use self::formats::{ReadOptions, open};

@@ -3,6 +3,7 @@
 use fearless_simd::prelude::*;
 
 use super::columns::PointColumns;
+use super::harmonics::Eye;
 use super::kept_runs::{KeptRuns, RunKey};
 use super::lane_ray::Frames;
 use super::packet::{Packet, Slab};
@@ -27,6 +28,7 @@ pub struct RunBatch {
     runs: Vec<Box<BatchedRun>>,
     len: usize,
     kept: KeptRuns,
+    eye: Option<Eye>,
 }
 
 /// What became of a run.
@@ -89,7 +91,7 @@ impl RunBatch {
             return Appended::Nothing;
         }
         if !is_known {
-            decoder.decode(run, header, step, simd, &mut item.run);
+            decoder.decode(run, header, (step, self.eye), simd, &mut item.run);
             if item.run.has_plates {
                 item.set_frames(simd, (packet, slab, lanes));
             }
@@ -123,6 +125,12 @@ impl RunBatch {
             last.key = None;
         }
         is_one
+    }
+
+    /// Sets from where points are seen, in their cloud's space; of a cloud it must always be the
+    /// same.
+    pub fn set_eye(&mut self, eye: Option<Eye>) {
+        self.eye = eye;
     }
 
     /// Says whether there are [`KEPT_BYTES`](super::KEPT_BYTES) of memory to keep runs in; without,

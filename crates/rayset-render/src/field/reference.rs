@@ -3,10 +3,13 @@
 
 use super::columns::AttributeColumns;
 use super::gaussian_splat::exact::{self, splat_radius};
+use super::harmonics::{self, Eye};
 use super::kernel::Kernel;
 use super::run::linear_from_srgb;
 use rayset_base::geometry::{DMat3, DVec3, Ray, Shape};
 use rayset_files::octree::Cloud;
+use rayset_files::octree::format::Header;
+use rayset_files::octree::page::Run;
 use rayset_files::octree::shape::StoredShape;
 use rayset_store::container::ScanError;
 
@@ -23,6 +26,38 @@ pub struct JudgePoint {
     pub weight: f64,
     /// One value for each channel of [`AttributeColumns`].
     pub attributes: Vec<f64>,
+    /// How the colour among them changes with the direction, if it does.
+    pub harmonics: Option<JudgeHarmonics>,
+}
+
+/// How the colour of a point changes with the direction from which it is seen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JudgeHarmonics {
+    /// The colour that is stored, 0 to 1, as displays are given it.
+    stored: [f64; 3],
+    /// The bytes of the coefficients.
+    bytes: Vec<u8>,
+    degree: u8,
+    /// Whether the attributes are display values.
+    as_displayed: bool,
+}
+
+impl JudgeHarmonics {
+    /// Those of the points of a run; none if it has none, or colours are not asked for.
+    fn of_run(run: &Run<'_>, header: &Header, columns: &AttributeColumns) -> Vec<Option<Self>> {
+        let (Some(colors), Some(bytes)) = (run.colors(header), run.harmonics(header)) else {
+            return Vec::new();
+        };
+        let of_point = |(stored, bytes): ([u8; 3], &[u8])| {
+            columns.color.then(|| Self {
+                stored: stored.map(|byte| f64::from(byte) / 255.0),
+                bytes: bytes.to_vec(),
+                degree: header.harmonics,
+                as_displayed: columns.color_as_displayed,
+            })
+        };
+        colors.zip(harmonics::of_points(bytes, header.harmonics)).map(of_point).collect()
+    }
 }
 
 /// The field at one sample.
@@ -87,11 +122,13 @@ impl ReferenceField {
                     a.push(if v.is_finite() { f64::from(v) } else { 0.0 });
                 }
             }
+            let mut harmonics = JudgeHarmonics::of_run(&run, header, columns);
             for (i, position) in positions.into_iter().enumerate() {
                 let (radius, weight) = (f64::from(radii[i]), f64::from(weights[i]));
                 let attributes = std::mem::take(&mut attributes[i]);
                 let shape = shapes.as_ref().map(|shapes| shapes[i]);
-                points.push(JudgePoint { position, radius, shape, weight, attributes });
+                let harmonics = harmonics.get_mut(i).and_then(Option::take);
+                points.push(JudgePoint { position, radius, shape, weight, attributes, harmonics });
             }
         })?;
         let is_label = |&number: &usize| header.attributes.get(number).is_some_and(|a| a.is_class);
@@ -112,6 +149,19 @@ impl ReferenceField {
         };
         let points = self.points.iter().filter(reaches).cloned().collect();
         Self { points, labels: self.labels.clone(), ..*self }
+    }
+
+    /// The same points in the colours that an eye in the cloud's space sees.
+    #[must_use]
+    pub fn seen_by(mut self, eye: Option<Eye>) -> Self {
+        for point in &mut self.points {
+            let Some(of) = &point.harmonics else { continue };
+            let toward = eye.map(|eye| eye.toward(point.position));
+            let color = harmonics::color_toward(of.stored, &of.bytes, toward, of.degree);
+            let color = if of.as_displayed { color } else { color.map(linear_from_srgb) };
+            point.attributes[..3].copy_from_slice(&color);
+        }
+        self
     }
 
     /// The field at the position `q`, in the cloud's space: with A as
@@ -208,7 +258,8 @@ mod tests {
 
     fn field(kernel: Kernel, normalised: bool, radius: f64, shape: Option<Shape>) -> ReferenceField {
         let position = DVec3::new(0.3, -0.2, 0.1);
-        let point = JudgePoint { position, radius, shape, weight: 1.5, attributes: vec![2.0] };
+        let point =
+            JudgePoint { position, radius, shape, weight: 1.5, attributes: vec![2.0], harmonics: None };
         ReferenceField { points: vec![point], kernel, normalised, labels: Vec::new() }
     }
 

@@ -5,9 +5,11 @@ use fearless_simd::prelude::*;
 
 use super::columns::{AttributeColumns, CHUNK_POINTS, CHUNKS, MAP_BYTES, MAP_COLUMNS, PointColumns};
 use super::gaussian_splat;
+use super::harmonics::{self, Eye};
 use super::kernel::Kernel;
 use super::plates::Plates;
 use super::simd::{SimdLevel, dispatch};
+use crate::math::linear_from_display;
 use rayset_base::geometry::DVec3;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
@@ -155,8 +157,34 @@ impl RunDecoder {
 
     /// Decodes the points of a run whose place is known, for samples that are at least `step`
     /// apart, in the cloud's space.
-    pub fn decode(&self, run: &Run<'_>, header: &Header, step: f64, simd: SimdLevel, out: &mut DecodedRun) {
+    pub fn decode(
+        &self,
+        run: &Run<'_>,
+        header: &Header,
+        (step, eye): (f64, Option<Eye>),
+        simd: SimdLevel,
+        out: &mut DecodedRun,
+    ) {
         dispatch!(simd.level(), token => self.decode_with(token, simd, run, header, step, out));
+        if self.columns.color && header.harmonics > 0 {
+            self.add_harmonics(run, header, eye, out);
+        }
+    }
+
+    /// Makes the colours those that are seen by an eye in the cloud's space.
+    fn add_harmonics(&self, run: &Run<'_>, header: &Header, eye: Option<Eye>, out: &mut DecodedRun) {
+        let (Some(colors), Some(bytes)) = (run.colors(header), run.harmonics(header)) else { return };
+        let coefficients = harmonics::of_points(bytes, header.harmonics);
+        for (i, (stored, coefficients)) in colors.zip(coefficients).enumerate() {
+            let offset = DVec3::from_array([0, 1, 2].map(|axis| f64::from(out.points.position[axis][i])));
+            let toward = eye.map(|eye| eye.toward(out.center + offset));
+            let stored = stored.map(|byte| f64::from(byte) / 255.0);
+            let color = harmonics::color_toward(stored, coefficients, toward, header.harmonics);
+            for (column, v) in out.attribute.iter_mut().zip(color) {
+                let v = v as f32;
+                column[i] = if self.columns.color_as_displayed { v } else { linear_from_display(v) };
+            }
+        }
     }
 
     #[inline(always)]

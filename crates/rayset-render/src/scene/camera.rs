@@ -1,5 +1,6 @@
 //! Cameras: where rays start and in which direction they go.
 
+use crate::field::Eye;
 use rayset_base::geometry::{Aabb, DVec3, Ray};
 
 /// How points of the image plane are mapped to rays.
@@ -186,6 +187,14 @@ impl RayMaker {
             Projection::Orthographic { .. } => {
                 Ray { origin: self.camera.position + across, direction: self.forward }
             }
+        }
+    }
+
+    /// From where the picture is seen.
+    pub(crate) fn eye(&self) -> Eye {
+        match self.camera.projection {
+            Projection::Perspective { .. } => Eye::At(self.camera.position),
+            Projection::Orthographic { .. } => Eye::Along(self.forward),
         }
     }
 

@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::RenderError;
+use crate::field::Eye;
 use rayset_store::working_set::{Object, PageClient, PageGuard, Reuse};
 
 /// A page that a tile waits for.
@@ -88,6 +89,8 @@ pub(super) struct Access<'a> {
     pub(super) foreseen: &'a Foreseen,
     /// Bytes of the pages requested so far.
     pub(super) asked_bytes: &'a Cell<u64>,
+    /// From where the picture is seen, world space; `None` if nothing is shown.
+    pub(super) eye: Option<Eye>,
     /// What this thread knows about when pages are used again.
     pub(super) reuse: &'a RefCell<Reuse>,
 }

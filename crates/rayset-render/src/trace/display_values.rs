@@ -1,22 +1,7 @@
 //! Between linear light and the values that displays are given, in which rays of splats are
 //! composited ([`Compositing::Display`](crate::scene::Compositing)).
 
-use crate::math::raised;
-
-/// The value that a display is given for linear light x ≥ 0 (IEC 61966-2-1), relative error below
-/// 4e-6.
-#[inline(always)]
-pub(super) fn display_from_linear(x: f32) -> f32 {
-    let bright = 1.055 * raised(x, 1.0 / 2.4) - 0.055;
-    if x > 0.003_130_8 { bright } else { 12.92 * x }
-}
-
-/// The linear light of a value v ≥ 0 that a display is given, relative error below 4e-6.
-#[inline(always)]
-pub(super) fn linear_from_display(v: f32) -> f32 {
-    let bright = raised((v + 0.055) * (1.0 / 1.055), 2.4);
-    if v > 0.040_45 { bright } else { v * (1.0 / 12.92) }
-}
+use crate::math::{display_from_linear, linear_from_display};
 
 /// Converts many numbers from linear light.
 #[inline(always)]

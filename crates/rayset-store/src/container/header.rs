@@ -30,6 +30,9 @@ pub const BRICK_SHAPE: u64 = 1;
 
 /// The required feature of clouds whose points have shapes.
 pub const SHAPE: u64 = 1;
+/// The feature, required of readers, of a cloud whose colours change with the direction, by
+/// spherical harmonics.
+pub const HARMONICS: u64 = 2;
 
 /// What a file holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -303,7 +306,7 @@ impl FileHeader {
     /// # Errors
     /// [`HeaderError::Feature`] for the first unknown feature.
     pub fn check_features(&self, name: impl Fn(u32) -> Option<String>) -> Result<(), HeaderError> {
-        let known = if self.kind == FileKind::Grid { BRICK_SHAPE } else { SHAPE };
+        let known = if self.kind == FileKind::Grid { BRICK_SHAPE } else { SHAPE | HARMONICS };
         let unknown = self.required_features & !known;
         if unknown == 0 {
             return Ok(());

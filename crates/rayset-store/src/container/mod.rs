@@ -22,7 +22,7 @@ pub use self::header::{
     BLOCK_BYTES, FileHeader, FileKind, Footer, HeaderError, MAX_PAGE_BYTES, MAX_SECTIONS, Section,
     SectionKind, VERSION,
 };
-pub use self::header::{BRICK_SHAPE, SHAPE};
+pub use self::header::{BRICK_SHAPE, HARMONICS, SHAPE};
 pub use self::identity::Identity;
 pub use self::page::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind, stored_page_checksum};
 #[cfg(feature = "internals")]

@@ -65,6 +65,7 @@ mod sessions;
 mod shadows;
 mod skips;
 mod snapshots;
+mod splat_colors;
 mod splat_light;
 mod splats;
 mod steps;

@@ -53,7 +53,8 @@ fn refusal(name: &str, bytes: &[u8]) -> String {
 }
 
 /// Position, then the nine columns of splats, of a point of a table; then its rotation, of length
-/// one and with its largest component above zero, and its radius where it is round.
+/// one and with its largest component above zero, its radius where it is round, and the
+/// coefficients of its harmonics.
 fn row(table: &Table, index: usize) -> Vec<f64> {
     let column = |name: &str| {
         let column = table.1.iter().find(|(found, _)| found == name).expect("a column");
@@ -62,8 +63,13 @@ fn row(table: &Table, index: usize) -> Vec<f64> {
     let rotation = ["rotation_x", "rotation_y", "rotation_z", "rotation_w"].map(column);
     let largest = rotation.into_iter().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
     let length = rotation.iter().map(|v| v * v).sum::<f64>().sqrt().copysign(largest);
-    let rest = [column(points::ROUND_RADIUS)];
-    [&table.0[index][..], &COLUMNS.map(column), &rotation.map(|v| v / length), &rest].concat()
+    let round = [column(points::ROUND_RADIUS)];
+    let harmonics: Vec<f64> = (table.1.iter())
+        .filter(|(name, _)| name.starts_with(points::HARMONIC))
+        .map(|(_, values)| values[index])
+        .collect();
+    let all = [&table.0[index][..], &COLUMNS.map(column), &rotation.map(|v| v / length), &round, &harmonics];
+    all.concat()
 }
 
 /// The semi-axes of a point of a table are its deviations, as far as it goes.
@@ -116,18 +122,14 @@ fn every_splat_format_holds_what_other_programs_read_of_it() {
 }
 
 #[test]
-fn the_schema_of_splats_tells_what_is_lost_and_which_way_is_up() {
+fn the_schema_of_splats_tells_the_degree_of_their_colours_and_which_way_is_up() {
     for name in FILES {
         let schema = schema(&fixture(name));
         assert!(schema.names().take(9).eq(COLUMNS), "{name}");
         assert_eq!(schema.up, Some(DVec3::Y * if name.ends_with(".spz") { 1.0 } else { -1.0 }), "{name}");
-        // The records of `.splat` have no coefficients that would be lost.
-        let lost = schema.warnings.iter().filter(|warning| warning.contains("do not change with the view"));
-        assert_eq!(
-            (lost.count(), schema.warnings.len()),
-            (usize::from(name != "records.splat"), usize::from(name != "records.splat")),
-            "{name}"
-        );
+        // The records of `.splat` have no coefficients of other directions.
+        let degree = if name == "records.splat" { 0 } else { 1 };
+        assert_eq!((schema.harmonics().0, schema.warnings.len()), (degree, 0), "{name}");
         assert!(schema.description.contains("Gaussian splats, "), "{}", schema.description);
         let is_byte = name.ends_with("splat");
         assert_eq!(schema.color_depth, if is_byte { ColorDepth::Byte } else { ColorDepth::Unit });

@@ -374,6 +374,7 @@ impl Assembler {
             position_error: summary.position_error,
             position_error_radii: summary.position_error_radii,
             has_color: survey.layout.has_color,
+            harmonics: survey.layout.harmonics,
             shape: survey.has_shapes.then_some((summary.detail_min, summary.detail_max)),
             attributes: survey.attributes.clone(),
             point_data_bytes: self.point_data_bytes,

@@ -31,6 +31,9 @@ pub(super) struct Selection {
     pub(super) columns: Vec<usize>,
     /// Semi-axes and rotation, of a source that has shapes.
     pub(super) shape: Option<[usize; SHAPE_COLUMNS.len()]>,
+    /// The coefficients that a source has of harmonics: the constant ones, then the others, first
+    /// those of red, then of green and blue.
+    pub(super) harmonics: Vec<usize>,
     /// `None` if records have no colours.
     pub(super) colors: Option<ColorOrigin>,
 }
@@ -92,6 +95,8 @@ impl Columns {
         let is_auto = *radius == Rule::Auto;
         let (radius, weight) = (of_rule(radius), of_rule(weight));
         let has_color = options.keep_color && sources.iter().any(|source| colors(source.schema()).is_some());
+        let degrees = sources.iter().map(|source| source.schema().harmonics().0);
+        let degree = degrees.max().filter(|_| has_color).unwrap_or(0);
         let has_shape = options.shape != ShapeRule::Round
             && sources.iter().any(|source| shape(source.schema()).is_some());
         let attributes: Vec<usize> = options.attributes.iter().map(|name| place(name)).collect();
@@ -108,6 +113,7 @@ impl Columns {
             has_shape,
             has_weight: weight.is_some(),
             has_color,
+            harmonics: degree,
             attributes: infos.iter().map(|info| info.kind).collect(),
         };
         let measures_shapes = is_auto && options.shape != ShapeRule::Round && !has_shape;
@@ -124,7 +130,7 @@ impl Columns {
         let shape = shape(schema).filter(|_| self.layout.has_shape);
         let shape = shape.map(|columns| columns.map(&mut select));
         if !self.layout.has_color {
-            return Selection { columns: selected, shape, colors: None };
+            return Selection { columns: selected, shape, harmonics: Vec::new(), colors: None };
         }
         let columns = colors(schema);
         // Only numbers that can be NaN can be missing.
@@ -137,7 +143,8 @@ impl Columns {
             depth: Depths::number(schema, input),
             family: Depths::family(schema),
         };
-        Selection { columns: selected, shape, colors: Some(origin) }
+        let harmonics = schema.harmonics().1.into_iter().map(&mut select).collect();
+        Selection { columns: selected, shape, harmonics, colors: Some(origin) }
     }
 }
 

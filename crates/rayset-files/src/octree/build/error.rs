@@ -65,7 +65,8 @@ pub struct Skipped {
     /// Records whose radius is not a positive number in range, or whose semi-axes and rotation are
     /// of no ellipsoid.
     pub radius: u64,
-    /// Records whose weight is not finite or is too large.
+    /// Records whose weight is not finite or is too large, or of whose colours coefficients are not
+    /// finite.
     pub weight: u64,
 }
 

@@ -7,6 +7,7 @@ use super::control::Stage;
 use super::error::{BuildError, Quantity};
 use super::options::{BuildOptions, InvalidPolicy};
 use super::survey::{Form, LIMIT, Survey, Totals};
+use crate::octree::harmonics::{CHANNELS, CONSTANT, encode, stored_bytes};
 use crate::octree::shape::StoredShape;
 use crate::points::{PointBatch, PointSource, ReadError, SHAPE_COLUMNS, Values};
 use rayset_base::geometry::{DQuat, DVec3, Shape};
@@ -101,6 +102,7 @@ impl<'a> Reader<'a> {
             options: context.options,
             columns,
             shape: None,
+            harmonics: Vec::new(),
             colors: None,
             totals: Totals::none(columns.attributes.len()),
             record: Vec::with_capacity(columns.layout.stride()),
@@ -131,7 +133,8 @@ impl<'a> Reader<'a> {
         let source = &mut stretch.source;
         let selection = tally.columns.selection(source.schema(), stretch.input);
         source.select(&selection.columns);
-        (tally.shape, tally.colors) = (selection.shape, selection.colors);
+        (tally.shape, tally.harmonics) = (selection.shape, selection.harmonics);
+        tally.colors = selection.colors;
         source.watch(&context.control.cancel);
         if stretch.first > 0 {
             or_cancelled(context, source.skip(stretch.first))?;
@@ -179,6 +182,8 @@ struct Tally<'a> {
     columns: &'a Columns,
     /// Where the shapes of the current source come from.
     shape: Option<[usize; SHAPE_COLUMNS.len()]>,
+    /// Where the coefficients of its harmonics come from.
+    harmonics: Vec<usize>,
     /// Where the colours of the current source come from.
     colors: Option<ColorOrigin>,
     totals: Totals,
@@ -273,12 +278,35 @@ impl Tally<'_> {
             };
             color.iter().for_each(|v| record.extend_from_slice(&v.to_le_bytes()));
             record.extend_from_slice(&depth.to_le_bytes());
+            let coefficients = |place: usize| batch.columns[self.harmonics[place]].get(i);
+            if !(0..self.harmonics.len()).all(|place| coefficients(place).is_finite()) {
+                totals.skipped.weight += 1;
+                return Err("coefficients of colours that are not finite".into());
+            }
+            let start = record.len();
+            append_harmonics(coefficients, self.harmonics.len(), record);
+            record.resize(start + stored_bytes(columns.layout.harmonics), 0);
         }
         for (column, info) in columns.attributes.iter().zip(&columns.infos) {
             batch.columns[*column].write_as(i, info.kind, record);
         }
         totals.include(&columns.layout, DVec3::from_array(p), record);
         Ok(())
+    }
+}
+
+/// Appends the coefficients of harmonics as they are stored, of so many in the order of
+/// [`Selection`](super::columns::Selection): first what a colour is besides what its bytes say.
+fn append_harmonics(coefficients: impl Fn(usize) -> f64, count: usize, record: &mut Vec<u8>) {
+    let Some(others) = count.checked_sub(CHANNELS) else { return };
+    for channel in 0..CHANNELS {
+        let color = 0.5 + CONSTANT * coefficients(channel);
+        record.push(encode(color - (color.clamp(0.0, 1.0) * 255.0).round() / 255.0));
+    }
+    let per_channel = others / CHANNELS;
+    for k in 0..per_channel {
+        record
+            .extend((0..CHANNELS).map(|channel| encode(coefficients(CHANNELS + channel * per_channel + k))));
     }
 }
 

@@ -4,6 +4,9 @@
 //! curve, record bytes): a node's own points come before those of its children, and records that
 //! compare equal are identical, so the order does not depend on threads or buckets.
 
+use std::ops::Range;
+
+use crate::octree::harmonics::stored_bytes;
 use crate::octree::layout::RootCell;
 use crate::octree::shape::{SHAPE_COLUMNS, StoredShape};
 use crate::points::ColumnType;
@@ -15,7 +18,8 @@ const CURVE_BITS: u32 = 3 * MAX_LEVEL;
 
 /// The layout of a record: position (three `f64`), radius (`f32`), shape (as it is stored, five
 /// `u16`), weight (`f32`), colour (three `f32` and
-/// an `u32` for their depth, see [`Depths`](super::depths::Depths)), attributes in their own types.
+/// an `u32` for their depth, see [`Depths`](super::depths::Depths)), coefficients of harmonics (as
+/// they are stored), attributes in their own types.
 /// Nothing is aligned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct RecordLayout {
@@ -23,6 +27,8 @@ pub(super) struct RecordLayout {
     pub(super) has_shape: bool,
     pub(super) has_weight: bool,
     pub(super) has_color: bool,
+    /// Degree.
+    pub(super) harmonics: u8,
     pub(super) attributes: Vec<ColumnType>,
 }
 
@@ -52,10 +58,16 @@ impl RecordLayout {
         self.weight_at() + 4 * usize::from(self.has_weight)
     }
 
+    /// Byte range of the coefficients of harmonics.
+    pub(super) fn harmonics(&self) -> Range<usize> {
+        let start = self.color_at() + COLOR_BYTES * usize::from(self.has_color);
+        start..start + stored_bytes(self.harmonics)
+    }
+
     /// Byte offset of an attribute.
     pub(super) fn attribute_at(&self, index: usize) -> usize {
         let before: usize = self.attributes[..index].iter().map(|kind| kind.bytes()).sum();
-        self.color_at() + COLOR_BYTES * usize::from(self.has_color) + before
+        self.harmonics().end + before
     }
 
     /// The same layout with a weight behind the radius.

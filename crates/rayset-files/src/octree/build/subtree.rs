@@ -179,6 +179,7 @@ impl Packer {
                     .color
                     .push(color.map(|v| ((v * factor + offset).clamp(0.0, 1.0) * 255.0).round() as u8));
             }
+            columns.harmonics.extend_from_slice(&r[layout.harmonics()]);
             if self.store_shape {
                 columns.shape.push(record::shape(r, layout.shape_at()));
             }
@@ -197,6 +198,7 @@ impl Packer {
             store_radius: self.store_radius,
             weight: self.store_weight.then_some(columns.weight.as_slice()),
             color: self.layout.has_color.then_some(columns.color.as_slice()),
+            harmonics: &columns.harmonics,
             shape: self.store_shape.then_some(columns.shape.as_slice()),
             attributes: &attributes,
         };
@@ -253,6 +255,7 @@ struct Columns {
     radius: Vec<f32>,
     weight: Vec<f32>,
     color: Vec<[u8; 3]>,
+    harmonics: Vec<u8>,
     shape: Vec<StoredShape>,
     /// Each in its own type, little-endian.
     attributes: Vec<Vec<u8>>,
@@ -264,6 +267,7 @@ impl Columns {
         self.radius.clear();
         self.weight.clear();
         self.color.clear();
+        self.harmonics.clear();
         self.shape.clear();
         self.attributes.resize_with(attributes, Vec::new);
         self.attributes.iter_mut().for_each(Vec::clear);

@@ -11,10 +11,11 @@ use super::error::{BuildError, Quantity, Skipped};
 use super::options::{BuildOptions, InvalidPolicy, Rule};
 use super::record::{self, KeyMaker, RecordLayout};
 use crate::octree::format::{AttributeInfo, Column};
+use crate::octree::harmonics::stored_bytes;
 use crate::octree::layout::{ColumnLayout, RootCell};
 use crate::points::{ColumnInfo, PointSource};
 use rayset_base::geometry::{Aabb, DVec3};
-use rayset_store::container::{Identity, Metadata, RecordSum, SHAPE, StreamHash};
+use rayset_store::container::{HARMONICS, Identity, Metadata, RecordSum, SHAPE, StreamHash};
 
 /// Largest absolute coordinate, radius and weight; its reciprocal is the smallest radius. Their
 /// squares are in the range of `f32`.
@@ -76,8 +77,12 @@ fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns
         (false, true) => AUTO_SHAPES,
         (false, false) => "",
     };
+    let harmonics = match columns.layout.harmonics {
+        0 => String::new(),
+        degree => format!(" harmonics of degree {degree}"),
+    };
     format!(
-        "radius {radius:?}{definition} {:?} weight {weight:?} {:?} precision {:?} page {:?} color {} columns {:?}{shapes}",
+        "radius {radius:?}{definition} {:?} weight {weight:?} {:?} precision {:?} page {:?} color {} columns {:?}{shapes}{harmonics}",
         options.radius_scale,
         options.weight_scale,
         options.precision,
@@ -368,7 +373,11 @@ impl Survey {
         let mut metadata = self.metadata.clone();
         if self.has_shapes {
             metadata.features.insert(SHAPE.trailing_zeros().to_string(), "shape".to_owned());
-            metadata.required_features = SHAPE;
+            metadata.required_features |= SHAPE;
+        }
+        if self.layout.harmonics > 0 {
+            metadata.features.insert(HARMONICS.trailing_zeros().to_string(), "harmonics".to_owned());
+            metadata.required_features |= HARMONICS;
         }
         metadata
     }
@@ -389,6 +398,7 @@ impl Survey {
         let (radius, weight) = self.columns();
         let four = [radius.is_stored(), weight.is_stored(), self.layout.has_color];
         let columns = four.iter().filter(|&&stored| stored).fold(ColumnLayout::default(), |l, _| l.with(4));
+        let columns = columns.with(stored_bytes(self.layout.harmonics));
         let columns = if self.has_shapes { columns.with_shape() } else { columns };
         self.layout.attributes.iter().fold(columns, |l, kind| l.with(kind.bytes()))
     }

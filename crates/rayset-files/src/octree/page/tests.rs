@@ -106,6 +106,7 @@ fn header_with_shapes() -> Header {
         position_error: 0.0,
         position_error_radii: 0.0,
         has_color: true,
+        harmonics: 0,
         shape: Some((1e-3, 1.0)),
         attributes: vec![attribute],
         point_data_bytes: 0,

@@ -6,11 +6,13 @@
 use std::path::Path;
 
 use super::gaussian::{self, Gaussian, unit};
+use super::harmonics::{self, Harmonics, MOST_REST};
 use super::ply::UP;
 use crate::points::file_source::{FileSource, RecordReader, Request};
 use crate::points::ply_body::{Body, Part};
 use crate::points::ply_header::{Element, Header, Property, Scalar};
-use crate::points::{ColorDepth, Place, PointBatch, ReadError};
+use crate::points::{ColorDepth, HARMONIC, Place, PointBatch, ReadError};
+use rayset_files::points::harmonics::CHANNELS;
 
 /// Vertices that share a chunk.
 const CHUNK: u64 = 256;
@@ -84,6 +86,19 @@ impl<const N: usize> Records<N> {
 pub(in crate::points) struct CompressedPlyReader {
     chunks: Records<18>,
     vertices: Records<4>,
+    /// The coefficients of their harmonics, and how many a channel has; if there are any.
+    harmonics: Option<(Records<MOST_REST>, usize)>,
+    /// Coefficients of all channels that are kept.
+    rest: usize,
+    /// The first column of the file's own.
+    own: usize,
+}
+
+/// The elements of a file.
+struct Elements<'h> {
+    chunk: &'h Element,
+    vertex: &'h Element,
+    harmonics: Option<&'h Element>,
 }
 
 impl CompressedPlyReader {
@@ -99,14 +114,36 @@ impl CompressedPlyReader {
     pub(in crate::points) fn open(path: &Path) -> Result<FileSource<Self>, ReadError> {
         let (header, _) = Body::open(path)?;
         let fail = |what: String| ReadError::malformed(path, Place::Line(header.lines), what);
-        let (chunk, vertex, view_dependent) = elements(&header).map_err(fail)?;
+        let Elements { chunk, vertex, harmonics } = elements(&header).map_err(fail)?;
         let mut whole = [0.0; 18];
         whole[15..].fill(1.0);
         let chunks = Records::open(path, chunk, BOUNDS, whole)?;
         let vertices = Records::open(path, vertex, PACKED, [0.0; 4])?;
+        let harmonics = harmonics.map(|element| {
+            let names: [String; MOST_REST] = std::array::from_fn(|i| format!("{HARMONIC}{i}"));
+            let found = names.iter().filter(|name| element.properties.iter().any(|p| p.name() == **name));
+            let (per_channel, names) = (found.count() / CHANNELS, names.each_ref().map(String::as_str));
+            Records::open(path, element, names, [0.0; MOST_REST]).map(|records| (records, per_channel))
+        });
+        let harmonics = harmonics.transpose()?;
+        let degree = harmonics::degree(harmonics.as_ref().map_or(0, |(_, per_channel)| *per_channel));
         let what = format!("compressed {}", header.description);
-        let schema = gaussian::schema(&what, ColorDepth::Unit, view_dependent, UP);
-        Ok(FileSource::new(path, schema, Some(vertex.count), Self { chunks, vertices }))
+        let schema = gaussian::schema(&what, ColorDepth::Unit, degree, UP);
+        let own = schema.columns.len();
+        let reader = Self { chunks, vertices, harmonics, rest: harmonics::rest(degree), own };
+        Ok(FileSource::new(path, schema, Some(vertex.count), reader))
+    }
+
+    /// The coefficients that were read last, with those of a colour.
+    fn coefficients(&self, color: [f64; CHANNELS]) -> Harmonics {
+        let mut harmonics = Harmonics::of_color(color);
+        if let Some((records, per_channel)) = &self.harmonics {
+            let kept = self.rest / CHANNELS;
+            for (i, to) in harmonics.rest[..self.rest].iter_mut().enumerate() {
+                *to = coefficient(records.values[i / kept * per_channel + i % kept]);
+            }
+        }
+        harmonics
     }
 
     /// The vertex that was read last, with the bounds of its chunk.
@@ -120,19 +157,20 @@ impl CompressedPlyReader {
             })
         };
         let byte = |shift: u32| fraction(color >> shift, 8);
+        let color = within(12, [byte(24), byte(16), byte(8)]);
         Gaussian {
             position: within(0, three(position)),
             deviations: within(6, three(scale)).map(f64::exp),
-            color: within(12, [byte(24), byte(16), byte(8)]).map(unit),
+            color: color.map(unit),
+            harmonics: self.coefficients(color),
             opacity: byte(0),
             rotation: smallest_three(rotation),
         }
     }
 }
 
-/// The elements of chunks and vertices, and whether there are coefficients of view-dependent
-/// colours.
-fn elements(header: &Header) -> Result<(&Element, &Element, bool), String> {
+/// The elements of chunks and vertices, and of coefficients if there are any.
+fn elements(header: &Header) -> Result<Elements<'_>, String> {
     let element = |name: &str| header.elements.iter().find(|e| e.name == name);
     let vertex = element("vertex").ok_or("no `vertex` element")?;
     let chunk = element("chunk").ok_or("packed splats without a `chunk` element, which has their bounds")?;
@@ -154,7 +192,21 @@ fn elements(header: &Header) -> Result<(&Element, &Element, bool), String> {
             chunk.count, vertex.count
         ));
     }
-    Ok((chunk, vertex, element("sh").is_some_and(|e| !e.properties.is_empty())))
+    let harmonics = element("sh").filter(|e| !e.properties.is_empty());
+    if let Some(sh) = harmonics.filter(|sh| sh.count != vertex.count) {
+        return Err(format!("{} coefficients of colours for {} splats", sh.count, vertex.count));
+    }
+    Ok(Elements { chunk, vertex, harmonics })
+}
+
+/// A coefficient, of a byte.
+fn coefficient(byte: f64) -> f32 {
+    let fraction = match byte {
+        0.0 => 0.0,
+        255.0 => 1.0,
+        inside => (inside + 0.5) / 256.0,
+    };
+    (8.0 * (fraction - 0.5)) as f32
 }
 
 /// The lower `bits` bits as a fraction of their largest value.
@@ -184,8 +236,8 @@ fn three(packed: u32) -> [f64; 3] {
 
 impl RecordReader for CompressedPlyReader {
     fn memory_needed(&self) -> u64 {
-        // The two read buffers.
-        512 << 10
+        // The three read buffers.
+        768 << 10
     }
 
     fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
@@ -194,12 +246,18 @@ impl RecordReader for CompressedPlyReader {
                 self.chunks.advance()?;
             }
             self.vertices.advance()?;
-            self.gaussian().append(request.selected, batch);
+            if let Some((records, _)) = &mut self.harmonics {
+                records.advance()?;
+            }
+            self.gaussian().append(self.own, request.selected, batch);
         }
         Ok(())
     }
 
     fn finish(&mut self) -> Result<(), ReadError> {
-        self.vertices.body.check_rest()
+        match &mut self.harmonics {
+            Some((records, _)) => records.body.check_rest(),
+            None => self.vertices.body.check_rest(),
+        }
     }
 }

@@ -11,8 +11,10 @@
 //! keeps its coverage this way; with the volume kept instead (the geometric mean of the
 //! deviations), surfaces would fall apart into specks.
 
+use super::harmonics::{self, Harmonics};
 use crate::points::{ColorDepth, ColumnInfo, ColumnType, PointBatch, ROUND_RADIUS, SHAPE_COLUMNS, Schema};
 use rayset_base::geometry::DVec3;
+use rayset_files::points::harmonics::CONSTANT;
 
 /// A point ends where it would be drawn with one part in so many.
 const CUT: f64 = 512.0;
@@ -22,12 +24,10 @@ const LEAST_RADIUS: f64 = 0.5;
 const THINNEST: f64 = 1.0 / 1024.0;
 /// No splat is more opaque than this.
 const MOST_OPAQUE: f64 = 0.999;
-/// The zeroth spherical harmonic, ½·√(1/π).
-const HARMONIC: f64 = 0.282_094_791_773_878_14;
 /// Exponent of Thomsen's formula for the surface area of an ellipsoid, which is within 1.1 % of it.
 const THOMSEN: f64 = 1.6075;
 
-/// The columns of every splat file, in this order.
+/// The columns of every splat file, in this order; those of [harmonics] follow.
 const NAMES: [&str; COLUMNS] = [
     "red",
     "green",
@@ -47,7 +47,7 @@ const NAMES: [&str; COLUMNS] = [
     SHAPE_COLUMNS[6],
     ROUND_RADIUS,
 ];
-/// Number of columns that every splat file has; those of its own come behind.
+/// Number of columns that every splat file has.
 pub(super) const COLUMNS: usize = 17;
 
 /// A Gaussian, decoded.
@@ -62,6 +62,7 @@ pub(super) struct Gaussian {
     pub(super) deviations: [f64; 3],
     /// The rotation of these axes, of any length: x, y, z and w of a quaternion.
     pub(super) rotation: [f64; 4],
+    pub(super) harmonics: Harmonics,
 }
 
 impl Gaussian {
@@ -98,7 +99,8 @@ impl Gaussian {
                 self.radius_in_deviations() * deviation
             }
             12..16 => self.rotation[index - 12],
-            _ => self.radius_in_deviations() * self.mean_deviation(),
+            16 => self.radius_in_deviations() * self.mean_deviation(),
+            _ => self.harmonics.value(index - COLUMNS),
         }
     }
 
@@ -113,21 +115,21 @@ impl Gaussian {
         if square > LEAST_RADIUS * LEAST_RADIUS { square.sqrt() } else { LEAST_RADIUS }
     }
 
-    /// Appends a point to a batch of the selected columns. Columns of the file's own are left to
-    /// the caller.
-    pub(super) fn append(&self, selected: &[usize], batch: &mut PointBatch) {
+    /// Appends a point to a batch of the selected columns. Columns of the file's own, from `own`
+    /// on, are left to the caller.
+    pub(super) fn append(&self, own: usize, selected: &[usize], batch: &mut PointBatch) {
         batch.position.push(self.position);
         for (column, &index) in batch.columns.iter_mut().zip(selected) {
-            if index < COLUMNS {
+            if index < own {
                 column.push(self.value(index));
             }
         }
     }
 }
 
-/// The constant part of a colour, 0 to 1, from its coefficient of the spherical harmonics.
-pub(super) fn color_of_harmonic(coefficient: f64) -> f64 {
-    unit(0.5 + HARMONIC * coefficient)
+/// The constant part of a colour, 0 to 1, from its coefficient of the harmonics.
+pub(super) fn color_of(coefficient: f64) -> f64 {
+    unit(0.5 + CONSTANT * coefficient)
 }
 
 /// Within 0 and 1; what is no number is 0.
@@ -135,23 +137,20 @@ pub(super) fn unit(value: f64) -> f64 {
     if value > 0.0 { value.min(1.0) } else { 0.0 }
 }
 
-/// The schema of a file that holds `what`, with colours of `depth`; `view_dependent` if these have
-/// coefficients besides the constant one.
-pub(super) fn schema(what: &str, depth: ColorDepth, view_dependent: bool, up: DVec3) -> Schema {
+/// The schema of a file that holds `what`, with colours of `depth` and with harmonics of a degree.
+pub(super) fn schema(what: &str, depth: ColorDepth, degree: u8, up: DVec3) -> Schema {
     let of_color = if depth == ColorDepth::Byte { ColumnType::U8 } else { ColumnType::F32 };
     let column = |(index, name): (usize, &&str)| {
         ColumnInfo::new(*name, if index < 3 { of_color } else { ColumnType::F32 })
     };
-    let mut schema = Schema::new(NAMES.iter().enumerate().map(column).collect(), depth);
+    let columns = NAMES.iter().enumerate().map(column).chain(harmonics::columns(degree));
+    let mut schema = Schema::new(columns.collect(), depth);
     let axis = match up.y {
         y if y < 0.0 => "y down",
         y if y > 0.0 => "y up",
         _ => "z up",
     };
     schema.description = format!("{what}; Gaussian splats, {axis}");
-    if view_dependent {
-        schema.warnings = vec!["Colours of Gaussian splats do not change with the view here".into()];
-    }
     schema.up = Some(up);
     schema
 }
@@ -167,7 +166,8 @@ mod tests {
 
     fn of(deviations: [f64; 3]) -> Gaussian {
         let rotation = [0.0, 0.0, 0.0, 1.0];
-        Gaussian { position: [0.0; 3], color: [0.0; 3], opacity: 0.75, deviations, rotation }
+        let (position, color, harmonics) = ([0.0; 3], [0.0; 3], Harmonics::NONE);
+        Gaussian { position, color, opacity: 0.75, deviations, rotation, harmonics }
     }
 
     #[test]

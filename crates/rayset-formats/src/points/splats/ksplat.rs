@@ -6,12 +6,14 @@ use std::io::{self, BufReader, Read};
 use std::path::Path;
 
 use super::gaussian::{self, Gaussian};
+use super::harmonics::{self, Harmonics, MOST_REST};
 use super::ksplat_header::{KsplatHeader, Level, Section};
 use super::ply::UP;
 use super::splat::{float, floats};
 use crate::points::file_source::{FileSource, RecordReader, Request, unreadable};
 use crate::points::{ColorDepth, Place, PointBatch, ReadError};
 use rayset_base::numbers::half;
+use rayset_files::points::harmonics::CHANNELS;
 use rayset_store::storage::input_file::InputFile;
 
 const BUFFER_BYTES: usize = 64 << 10;
@@ -48,6 +50,8 @@ struct Bucket {
 /// The Gaussians of a `.ksplat` file.
 pub(in crate::points) struct KsplatReader {
     header: KsplatHeader,
+    /// The first column of the file's own.
+    own: usize,
     headers: InputFile,
     sizes: Part,
     centers: Part,
@@ -71,10 +75,11 @@ impl KsplatReader {
         let mut headers = InputFile::open(path).map_err(ReadError::io(path))?;
         let bytes = headers.length().map_err(ReadError::io(path))?;
         let header = KsplatHeader::read(path, &mut headers, bytes)?;
-        let schema = gaussian::schema("ksplat 0.1", ColorDepth::Byte, header.is_view_dependent, UP);
+        let schema = gaussian::schema("ksplat 0.1", ColorDepth::Byte, header.degree, UP);
         let part = || Part::open(path).map_err(ReadError::io(path));
-        let count = header.count;
+        let (count, own) = (header.count, schema.columns.len());
         let reader = Self {
+            own,
             headers,
             sizes: part()?,
             centers: part()?,
@@ -135,10 +140,24 @@ impl KsplatReader {
         Ok(())
     }
 
+    /// The coefficients of a Gaussian whose section has so many of a channel.
+    fn harmonics(&self, color: [f64; CHANNELS], bytes: &[u8], coefficients: usize) -> Harmonics {
+        let mut harmonics = Harmonics::of_color(color.map(|v| v / 255.0));
+        let per_channel = harmonics::rest(self.header.degree) / CHANNELS;
+        // Band after band, and in each channel after channel.
+        for (first, band) in [(0, 3), (3, 5), (8, 7)].into_iter().filter(|(first, _)| *first < coefficients) {
+            for i in 0..CHANNELS * band {
+                let to = i / band * per_channel + first + i % band;
+                harmonics.rest[to] = self.header.coefficient(bytes, CHANNELS * first + i) as f32;
+            }
+        }
+        harmonics
+    }
+
     /// Reads the next Gaussian of a section.
     fn gaussian(&mut self, path: &Path, section: &Section) -> Result<Gaussian, ReadError> {
-        let mut record = [0; 44];
-        let record = &mut record[..self.header.level.record_bytes() as usize];
+        let mut record = [0; 44 + 4 * MOST_REST];
+        let record = &mut record[..section.record_stride as usize];
         self.records.read(path, section.records_at + section.record_stride * self.done, record)?;
         let (position, deviations, rotation) = if self.header.level == Level::Full {
             // w comes first.
@@ -155,9 +174,11 @@ impl KsplatReader {
             )
         };
         self.done += 1;
+        let (record, rest) = record.split_at(self.header.level.record_bytes() as usize);
         let [red, green, blue, opacity] = [4, 3, 2, 1].map(|back| f64::from(record[record.len() - back]));
         let (color, opacity) = ([red, green, blue], opacity / 255.0);
-        Ok(Gaussian { position, color, opacity, deviations, rotation })
+        let harmonics = self.harmonics(color, rest, section.coefficients);
+        Ok(Gaussian { position, color, opacity, deviations, rotation, harmonics })
     }
 }
 
@@ -169,7 +190,7 @@ impl RecordReader for KsplatReader {
     fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
         for _ in 0..request.most {
             let Some(section) = self.section(request.path())? else { break };
-            self.gaussian(request.path(), &section)?.append(request.selected, batch);
+            self.gaussian(request.path(), &section)?.append(self.own, request.selected, batch);
         }
         Ok(())
     }

@@ -6,7 +6,11 @@
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
+use super::harmonics;
+use super::splat::float;
 use crate::points::{Place, ReadError};
+use rayset_base::numbers::half;
+use rayset_files::points::harmonics::CHANNELS;
 
 const FILE_HEADER_BYTES: u64 = 4096;
 const SECTION_HEADER_BYTES: u64 = 1024;
@@ -44,7 +48,10 @@ pub(super) struct KsplatHeader {
     pub(super) level: Level,
     pub(super) count: u64,
     pub(super) sections: u64,
-    pub(super) is_view_dependent: bool,
+    /// The largest degree of the harmonics of a section.
+    pub(super) degree: u8,
+    /// Coefficients that the bytes 0 and 255 stand for.
+    harmonic_range: (f64, f64),
     file_bytes: u64,
 }
 
@@ -62,6 +69,8 @@ pub(super) struct Section {
     pub(super) center_stride: u64,
     pub(super) records_at: u64,
     pub(super) record_stride: u64,
+    /// Coefficients of a channel besides the constant one.
+    pub(super) coefficients: usize,
     pub(super) end: u64,
     /// Length of a step of a position, and the number of steps that stands for the centre.
     pub(super) step: f64,
@@ -121,17 +130,33 @@ impl KsplatHeader {
         if FILE_HEADER_BYTES + sections * SECTION_HEADER_BYTES > file_bytes {
             return Err(fail(4, format!("{sections} sections, whose headers the file does not have")));
         }
-        let mut header = Self { level, count, sections, is_view_dependent: false, file_bytes };
+        let or = |value: f64, or: f64| if value == 0.0 { or } else { value };
+        let harmonic_range = (or(fields.float(36), -1.5), or(fields.float(40), 1.5));
+        let mut header = Self { level, count, sections, degree: 0, harmonic_range, file_bytes };
         let (mut found, mut start) = (0, header.first());
         for index in 0..sections {
             let section = header.section(path, file, index, start)?;
-            header.is_view_dependent |= section.record_stride > level.record_bytes();
+            header.degree = header.degree.max(harmonics::degree(section.coefficients));
             (found, start) = (found + section.count, section.end);
         }
         if found != count {
             return Err(fail(16, format!("{count} splats, of which the sections have {found}")));
         }
         Ok(header)
+    }
+
+    /// The coefficient with a number among those of a record.
+    pub(super) fn coefficient(&self, bytes: &[u8], number: usize) -> f64 {
+        match self.level {
+            Level::Full => float(&bytes[4 * number..]),
+            Level::Packed { harmonic_bytes: 2 } => {
+                half::from_le_bytes([bytes[2 * number], bytes[2 * number + 1]]).into()
+            }
+            Level::Packed { .. } => {
+                let (low, high) = self.harmonic_range;
+                low + f64::from(bytes[number]) / 255.0 * (high - low)
+            }
+        }
     }
 
     /// The first byte of the first section.
@@ -190,6 +215,7 @@ impl KsplatHeader {
             center_stride,
             records_at,
             record_stride,
+            coefficients: harmonics as usize / CHANNELS,
             end,
             step: fields.float(16) / 2.0 / range as f64,
             range: range as u32,

@@ -3,6 +3,7 @@
 
 mod compressed_ply;
 mod gaussian;
+mod harmonics;
 mod ksplat;
 mod ksplat_header;
 mod ply;

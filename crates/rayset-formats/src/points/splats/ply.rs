@@ -1,15 +1,17 @@
 //! Gaussian splats as PLY, in the layout of INRIA's trainer: colours as coefficients `f_dc_0` to
-//! `f_dc_2` of the spherical harmonics, `opacity` before the logistic function, and the logarithms
-//! of the deviations in `scale_0` to `scale_2`, of which flat splats (2DGS) have two. Rotations are
-//! in `rot_0` to `rot_3`.
+//! `f_dc_2` of the spherical harmonics, and `f_rest_0` and so on; `opacity` before the logistic
+//! function; and the logarithms of the deviations in `scale_0` to `scale_2`, of which flat splats
+//! (2DGS) have two. Rotations are in `rot_0` to `rot_3`.
 
 use std::path::Path;
 
-use super::gaussian::{self, COLUMNS, Gaussian, color_of_harmonic};
+use super::gaussian::{self, Gaussian, color_of};
+use super::harmonics::{self, Harmonics};
 use crate::points::file_source::{FileSource, RecordReader, Request};
 use crate::points::ply::PlyReader;
-use crate::points::{ColorDepth, PointBatch, PointSource, ReadError};
+use crate::points::{ColorDepth, HARMONIC, PointBatch, PointSource, ReadError};
 use rayset_base::geometry::DVec3;
+use rayset_files::points::harmonics::{CHANNELS, coefficients};
 
 /// Gaussians decoded at a time.
 const CHUNK: usize = 4096;
@@ -29,9 +31,13 @@ pub(in crate::points) struct GaussianPlyReader {
     /// Number of deviations.
     deviations: usize,
     has_rotation: bool,
+    /// Degree of its harmonics.
+    degree: u8,
+    /// The first column of the file's own.
+    own: usize,
     /// Indices of the further columns in the file's schema.
     others: Vec<usize>,
-    /// Of the file: the parts, then the selected ones of the others.
+    /// Of the file: the parts and the coefficients, then the selected ones of the others.
     raw: PointBatch,
 }
 
@@ -56,19 +62,29 @@ impl GaussianPlyReader {
         if has_rotation {
             parts.extend(rotation);
         }
-        let is_harmonic = |name: &str| name.starts_with("f_rest_");
+        let is_harmonic = |name: &str| name.starts_with(HARMONIC);
+        let rest: Vec<usize> = (0..).map_while(|i| place(&&*format!("{HARMONIC}{i}"))).collect();
+        let per_channel = rest.len() / CHANNELS;
+        let degree = harmonics::degree(per_channel);
+        // Of each channel those up to the degree.
+        let kept = harmonics::rest(degree) / CHANNELS;
+        parts.extend((0..harmonics::rest(degree)).map(|i| rest[i / kept * per_channel + i % kept]));
         // Normals are written as zeros.
         let is_left_out = |name: &str| is_harmonic(name) || matches!(name, "nx" | "ny" | "nz");
         let is_own = |name: &str| !is_left_out(name) && !gaussian::has(name);
         let others: Vec<usize> =
             (0..names.len()).filter(|index| !parts.contains(index) && is_own(names[*index])).collect();
         let what = file.schema().description.clone();
-        let view_dependent = names.iter().any(|name| is_harmonic(name));
         let up = file.schema().up.unwrap_or(UP);
-        let mut schema = gaussian::schema(&what, ColorDepth::Unit, view_dependent, up);
+        let mut schema = gaussian::schema(&what, ColorDepth::Unit, degree, up);
+        if per_channel + 1 > coefficients(degree) {
+            schema.warnings = vec![harmonics::left_out(degree)];
+        }
+        let own = schema.columns.len();
         schema.columns.extend(others.iter().map(|&index| file.schema().columns[index].clone()));
         let count = file.count_hint();
-        let reader = Self { file, parts, deviations, has_rotation, others, raw: PointBatch::default() };
+        let raw = PointBatch::default();
+        let reader = Self { file, parts, deviations, has_rotation, degree, own, others, raw };
         Ok(FileSource::new(path, schema, count, reader))
     }
 
@@ -82,9 +98,13 @@ impl GaussianPlyReader {
             true => [1, 2, 3, 0].map(|component| part(first + component)),
             false => [0.0, 0.0, 0.0, 1.0],
         };
+        let rest = &self.raw.columns[self.parts.len() - harmonics::rest(self.degree)..self.parts.len()];
+        let mut harmonics = Harmonics { constant: [0, 1, 2].map(part), ..Harmonics::NONE };
+        harmonics.rest.iter_mut().zip(rest).for_each(|(to, from)| *to = from.get(index) as f32);
         Gaussian {
             position: self.raw.position[index],
-            color: [0, 1, 2].map(|channel| color_of_harmonic(part(channel))),
+            color: [0, 1, 2].map(|channel| color_of(part(channel))),
+            harmonics,
             opacity: 1.0 / (1.0 + (-part(3)).exp()),
             deviations: [0, 1, 2].map(deviation),
             rotation,
@@ -99,7 +119,7 @@ impl RecordReader for GaussianPlyReader {
     }
 
     fn select(&mut self, columns: &[usize]) {
-        let others = columns.iter().filter_map(|index| index.checked_sub(COLUMNS));
+        let others = columns.iter().filter_map(|index| index.checked_sub(self.own));
         let from_file: Vec<usize> =
             self.parts.iter().copied().chain(others.map(|other| self.others[other])).collect();
         self.file.select(&from_file);
@@ -108,10 +128,10 @@ impl RecordReader for GaussianPlyReader {
     fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
         self.file.fill(&mut self.raw, CHUNK.min(request.most))?;
         for index in 0..self.raw.len() {
-            self.gaussian(index).append(request.selected, batch);
+            self.gaussian(index).append(self.own, request.selected, batch);
         }
         let own = batch.columns.iter_mut().zip(request.selected);
-        let own = own.filter(|(_, index)| **index >= COLUMNS).map(|(column, _)| column);
+        let own = own.filter(|(_, index)| **index >= self.own).map(|(column, _)| column);
         for (to, from) in own.zip(&self.raw.columns[self.parts.len()..]) {
             (0..from.len()).for_each(|index| to.push(from.get(index)));
         }

@@ -4,7 +4,8 @@
 use std::io::{Read, Seek};
 use std::path::Path;
 
-use super::gaussian::{self, Gaussian};
+use super::gaussian::{self, COLUMNS, Gaussian};
+use super::harmonics::Harmonics;
 use super::ply::UP;
 use crate::points::file_source::{FileSource, RecordReader, Request, unreadable};
 use crate::points::{ColorDepth, Place, PointBatch, ReadError};
@@ -51,7 +52,7 @@ impl SplatReader {
             );
             return Err(fail(0, what));
         }
-        let schema = gaussian::schema("splat", ColorDepth::Byte, false, UP);
+        let schema = gaussian::schema("splat", ColorDepth::Byte, 0, UP);
         let reader = Self { file, buffer: Vec::new() };
         Ok(FileSource::new(path, schema, Some(bytes / RECORD_BYTES as u64), reader))
     }
@@ -88,9 +89,10 @@ impl RecordReader for SplatReader {
                 color: [24, 25, 26].map(|at| f64::from(record[at])),
                 opacity: f64::from(record[27]) / 255.0,
                 // w comes first.
+                harmonics: Harmonics::NONE,
                 rotation: [29, 30, 31, 28].map(|at| (f64::from(record[at]) - 128.0) / 128.0),
             };
-            gaussian.append(request.selected, batch);
+            gaussian.append(COLUMNS, request.selected, batch);
         }
         Ok(())
     }

@@ -1,13 +1,14 @@
 //! Gaussian splats as SPZ, versions 1 to 4: positions in fixed point (version 1: half precision),
-//! opacities and colours in bytes, logarithms of deviations in sixteenths. Rotations and
-//! view-dependent colours are not read.
+//! opacities, colours and the coefficients of their harmonics in bytes, logarithms of deviations in
+//! sixteenths.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use flate2::read::GzDecoder;
 
-use super::gaussian::{self, Gaussian, color_of_harmonic};
+use super::gaussian::{self, Gaussian, color_of};
+use super::harmonics::{self, Harmonics};
 use super::spz_header::{HEADER_BYTES, MAGIC, SpzHeader, StreamPlace};
 use super::spz_plane::{Packing, Plane, READER_BYTES};
 use crate::points::file_source::{FileSource, RecordReader, Request};
@@ -16,14 +17,14 @@ use crate::points::{ColorDepth, Place, PointBatch, ReadError};
 use rayset_base::cancel::CancelToken;
 use rayset_base::geometry::DVec3;
 use rayset_base::numbers::half;
+use rayset_files::points::harmonics::{CHANNELS, coefficients};
 use rayset_store::storage::input_file::InputFile;
 
 /// Gaussians decoded at a time.
 const CHUNK: usize = 1024;
-/// Attributes that points are made of, the first of the file: positions, opacities, colours,
-/// deviations.
-const ATTRIBUTES: usize = 5;
-const NAMES: [&str; ATTRIBUTES] = ["positions", "opacities", "colours", "scales", "rotations"];
+/// Attributes of a file. The last may be missing.
+const ATTRIBUTES: usize = 6;
+const NAMES: [&str; ATTRIBUTES] = ["positions", "opacities", "colours", "scales", "rotations", "harmonics"];
 /// Coordinates are right, up and back, as in OpenGL.
 const UP: DVec3 = DVec3::Y;
 /// Colours are stored with this factor on the coefficient of the zeroth spherical harmonic.
@@ -42,6 +43,9 @@ enum Layout {
 pub(in crate::points) struct SpzReader {
     header: SpzHeader,
     layout: Layout,
+    /// Degree of the harmonics that are kept, and the first column of the file's own.
+    degree: u8,
+    own: usize,
     /// Readers of the attributes, from the first read on.
     planes: Vec<Plane>,
     buffers: [Vec<u8>; ATTRIBUTES],
@@ -79,22 +83,28 @@ impl SpzReader {
                 return Err(fail(0, "an SPZ file of version 4 in gzip; expected it as it is".into()));
             }
             let bytes = file.length().map_err(ReadError::io(path))?;
-            let [positions, alphas, colors, scales, rotations, _] = header.streams(path, &mut file, bytes)?;
-            Layout::Streams(with_windows(path, &mut file, [positions, alphas, colors, scales, rotations])?)
+            let streams = header.streams(path, &mut file, bytes)?;
+            Layout::Streams(with_windows(path, &mut file, streams)?)
         } else {
             Layout::Planar(packing)
         };
         let what = format!("SPZ {}", header.version);
-        let schema = gaussian::schema(&what, ColorDepth::Unit, header.is_view_dependent(), UP);
+        let degree = harmonics::degree(header.coefficients());
+        let mut schema = gaussian::schema(&what, ColorDepth::Unit, degree, UP);
+        if header.coefficients() + 1 > coefficients(degree) {
+            schema.warnings = vec![harmonics::left_out(degree)];
+        }
+        let own = schema.columns.len();
         let (count, planes, cancel) = (header.count, Vec::new(), CancelToken::new());
-        let reader = Self { header, layout, planes, buffers: Default::default(), cancel };
+        let reader = Self { header, layout, own, degree, planes, buffers: Default::default(), cancel };
         Ok(FileSource::new(path, schema, Some(count), reader))
     }
 
     /// Opens a reader for each attribute.
     fn open_planes(&mut self, path: &Path) -> Result<(), ReadError> {
         let mut skip = HEADER_BYTES as u64;
-        for (attribute, width) in self.header.widths().into_iter().take(ATTRIBUTES).enumerate() {
+        for (attribute, width) in self.header.widths().into_iter().take(self.header.attributes()).enumerate()
+        {
             self.planes.push(match self.layout {
                 Layout::Planar(packing) => Plane::open(path, packing, skip, &self.cancel)?,
                 Layout::Streams(streams) => {
@@ -110,7 +120,7 @@ impl SpzReader {
 
     /// Gaussian `index` of the buffers.
     fn gaussian(&self, index: usize) -> Gaussian {
-        let [positions, alphas, colors, scales, rotations] = &self.buffers;
+        let [positions, alphas, colors, scales, rotations, rest] = &self.buffers;
         let position = match self.header.fractional_bits {
             Some(bits) => {
                 let p = &positions[9 * index..][..9];
@@ -126,12 +136,19 @@ impl SpzReader {
                 [0, 1, 2].map(|axis| f64::from(half::from_le_bytes([p[2 * axis], p[2 * axis + 1]])))
             }
         };
-        let color = |channel: usize| {
-            color_of_harmonic((f64::from(colors[3 * index + channel]) / 255.0 - 0.5) / COLOR_SCALE)
-        };
+        let constant =
+            [0, 1, 2].map(|channel| (f64::from(colors[3 * index + channel]) / 255.0 - 0.5) / COLOR_SCALE);
+        let mut harmonics = Harmonics { constant, ..Harmonics::NONE };
+        let (width, kept) = (CHANNELS * self.header.coefficients(), harmonics::rest(self.degree));
+        for (i, to) in harmonics.rest[..kept].iter_mut().enumerate() {
+            // The channels of a coefficient follow each other.
+            let (channel, k) = (i / (kept / CHANNELS), i % (kept / CHANNELS));
+            *to = (f32::from(rest[width * index + CHANNELS * k + channel]) - 128.0) / 128.0;
+        }
         Gaussian {
             position,
-            color: [0, 1, 2].map(color),
+            color: constant.map(color_of),
+            harmonics,
             opacity: f64::from(alphas[index]) / 255.0,
             deviations: [0, 1, 2].map(|axis| (f64::from(scales[3 * index + axis]) / 16.0 - 10.0).exp()),
             rotation: if self.header.version >= 3 {
@@ -211,7 +228,7 @@ impl RecordReader for SpzReader {
             plane.read_exact(buffer, NAMES[attribute], request.first, request.count)?;
         }
         for index in 0..rows {
-            self.gaussian(index).append(request.selected, batch);
+            self.gaussian(index).append(self.own, request.selected, batch);
         }
         Ok(())
     }
@@ -220,8 +237,8 @@ impl RecordReader for SpzReader {
         let unread = match self.layout {
             // One reader sees all that is left.
             Layout::Planar(_) if !self.planes.is_empty() => {
-                self.planes.drain(..ATTRIBUTES - 1);
-                self.header.widths()[ATTRIBUTES..].iter().sum::<u64>() * self.header.count
+                self.planes.drain(..self.header.attributes() - 1);
+                0
             }
             _ => 0,
         };

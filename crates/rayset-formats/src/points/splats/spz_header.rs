@@ -78,9 +78,14 @@ impl SpzHeader {
         self.version >= 4
     }
 
-    /// Whether colours change with the view.
-    pub(super) fn is_view_dependent(&self) -> bool {
-        self.harmonics > 0
+    /// Coefficients of a channel of view-dependent colours.
+    pub(super) fn coefficients(&self) -> usize {
+        self.harmonics as usize / 3
+    }
+
+    /// The attributes that the file has, of those that files may have.
+    pub(super) fn attributes(&self) -> usize {
+        if self.harmonics > 0 { 6 } else { 5 }
     }
 
     /// Bytes of a Gaussian in each attribute: position, opacity, colour, deviations, rotation,

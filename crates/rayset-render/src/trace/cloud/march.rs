@@ -174,6 +174,7 @@ impl CloudMarch {
         let field = &mut scratch.fields[at];
         field.clear();
         let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
+        scratch.batch.set_eye(volume.placement.local_eye(access.eye));
         self.gather(volume, request, lanes, &splatter, &mut scratch.batch, counts, field)?;
         // Opacities are no depths: where a ray ends is not found by adding them.
         let ends = request.ends.filter(|_| measure == Measure::OpticalDepth).map(|ends| &ends.depth);

@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::field::{Kernel, Packet};
+use crate::field::{Eye, Kernel, Packet};
 use crate::scene::{CloudObject, largest_stretch};
 use crate::trace::RenderError;
 use crate::trace::access::{Access, Halt};
@@ -98,6 +98,11 @@ impl CloudPlacement {
             origin: map.transform_point3(ray.origin),
             direction: map.transform_vector3(ray.direction),
         })
+    }
+
+    /// An eye in local space.
+    pub(in crate::trace) fn local_eye(&self, eye: Option<Eye>) -> Option<Eye> {
+        eye.map(|eye| self.local_from_world.as_ref().map_or(eye, |map| eye.transformed(map)))
     }
 
     /// Length in local space of a unit of world space along a direction.

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use self::sample::{Sample, combine};
 use self::shared::SharedShadows;
 use crate::field::reference::{ReferenceField, ReferenceSample};
-use crate::field::{AttributeColumns, Kernel, linear_from_srgb};
+use crate::field::{AttributeColumns, Eye, Kernel, linear_from_srgb};
 use crate::scene::{
     Camera, CameraError, Channel, CloudObject, ColorRule, Compositing, GridObject, LightKind, Lighting,
     MAX_OPACITY, MOST_ATTRIBUTES, MapInput, Material, Node, OpacityRule, Operator, Procedural,
@@ -207,7 +207,9 @@ impl<'a> ReferenceRenderer<'a> {
         (end, purpose): (f64, Purpose),
         mut visit: impl FnMut(DVec3, &Sample, f64),
     ) -> f64 {
-        let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), (ray, purpose));
+        // Colours are of no importance.
+        let along = (ray, purpose, None);
+        let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), along);
         let mut transmittance = 1.0;
         let samples = steps.samples(ray, sample_offset, &self.scene.root.bounds());
         for place in samples.into_iter().take_while(|sample| sample.t < end) {
@@ -238,7 +240,7 @@ impl<'a> ReferenceRenderer<'a> {
         node: &'s Arc<Node>,
         world_from_parent: &DAffine3,
         material: Material,
-        (ray, purpose): (&Ray, Purpose),
+        (ray, purpose, eye): (&Ray, Purpose, Option<Eye>),
     ) -> SeenNode<'s> {
         let material = node.material.unwrap_or(material);
         let world_from_local = *world_from_parent * node.parent_from_local;
@@ -251,7 +253,10 @@ impl<'a> ReferenceRenderer<'a> {
                 };
                 let known = self.clouds.iter().find(|(at, _)| *at == Arc::as_ptr(node));
                 let field = match known {
-                    Some((_, Loaded::Points(field))) => Along::Near(field.near(&local)),
+                    Some((_, Loaded::Points(field))) => {
+                        let eye = eye.map(|eye| eye.transformed(&local_from_world));
+                        Along::Near(field.near(&local).seen_by(eye))
+                    }
                     Some((_, Loaded::Given(field))) => {
                         field.ray(&local, purpose);
                         Along::Given(*field, purpose)
@@ -268,7 +273,7 @@ impl<'a> ReferenceRenderer<'a> {
             Shape::Operator(operator, children) => {
                 let seen = children
                     .iter()
-                    .map(|child| self.seen(child, &world_from_local, material, (ray, purpose)));
+                    .map(|child| self.seen(child, &world_from_local, material, (ray, purpose, eye)));
                 ReachableNode::Operator(*operator, seen.collect())
             }
         };

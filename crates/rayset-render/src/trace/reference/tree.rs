@@ -3,7 +3,7 @@
 use super::shared::SharedShadows;
 use super::steps::Place;
 use super::{Position, Purpose, ReferencePixel, ReferenceRenderer, ReferenceSteps};
-use crate::field::linear_from_srgb;
+use crate::field::{Eye, linear_from_srgb};
 use crate::image::srgb_from_linear;
 use crate::scene::{Camera, CameraError, Lighting, Material, RenderSettings};
 use rayset_base::geometry::{DAffine3, DVec3, Ray};
@@ -23,11 +23,13 @@ pub(super) struct Course {
     /// Normal of the boundary at the ray's origin.
     normal: DVec3,
     depth: u32,
+    /// From where the picture is seen.
+    eye: Eye,
 }
 
 impl Course {
-    pub(super) fn from_eye(ray: Ray) -> Self {
-        Self { ray, weight: 1.0, index: 1.0, normal: DVec3::ZERO, depth: 0 }
+    pub(super) fn from_eye(ray: Ray, eye: Eye) -> Self {
+        Self { ray, weight: 1.0, index: 1.0, normal: DVec3::ZERO, depth: 0, eye }
     }
 }
 
@@ -55,9 +57,10 @@ impl ReferenceRenderer<'_> {
         x: u32,
         y: u32,
     ) -> Result<ReferencePixel, CameraError> {
-        let ray = camera.ray_maker(settings.width, settings.height)?.pixel_ray(x, y);
+        let maker = camera.ray_maker(settings.width, settings.height)?;
+        let ray = maker.pixel_ray(x, y);
         let sample_offset = settings.sample_offset_of(x, y);
-        let eye = Course::from_eye(ray);
+        let eye = Course::from_eye(ray, maker.eye());
         let (color, transmittance) = self.follow(settings, &eye, sample_offset, steps);
         let composited = |light: f64| if self.displays() { srgb_from_linear(light) } else { light };
         let pixel = match self.scene.background {
@@ -85,8 +88,8 @@ impl ReferenceRenderer<'_> {
         steps: &ReferenceSteps,
     ) -> ([f64; 3], f64) {
         let ray = &course.ray;
-        let root =
-            self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), (ray, Purpose::Opacity));
+        let along = (ray, Purpose::Opacity, Some(course.eye));
+        let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), along);
         let turns = course.depth < settings.max_depth && self.scene.lighting != Lighting::Unlit;
         let mut light = DVec3::ZERO;
         let mut transmittance = 1.0;
@@ -121,7 +124,14 @@ impl ReferenceRenderer<'_> {
                     light += self.reflected(settings, course, mirror.take(), sample_offset, steps);
                     let go_on = |direction, index, weight| {
                         let ray = Ray { origin: ray.at(t), direction };
-                        let next = Course { ray, weight, index, normal: at.1, depth: course.depth + 1 };
+                        let next = Course {
+                            ray,
+                            weight,
+                            index,
+                            normal: at.1,
+                            depth: course.depth + 1,
+                            eye: course.eye,
+                        };
                         self.follow(settings, &next, sample_offset, steps)
                     };
                     let mut weight = transmittance;
@@ -194,7 +204,7 @@ impl ReferenceRenderer<'_> {
         };
         let direction = course.ray.direction.reflect(normal);
         let ray = Ray { origin: mirror.place / mirror.weight + 0.5 * mirror.step * direction, direction };
-        let next = Course { ray, weight, index: 1.0, normal, depth: course.depth + 1 };
+        let next = Course { ray, weight, index: 1.0, normal, depth: course.depth + 1, eye: course.eye };
         let (color, open) = self.follow(settings, &next, sample_offset, steps);
         mirror.weight * (DVec3::from_array(color) + open * self.behind())
     }

@@ -40,6 +40,7 @@ struct StoredForm {
     has_shape: bool,
     has_weight: bool,
     has_color: bool,
+    harmonics: u8,
     attributes: Vec<StoredColumn>,
     radius: Option<u32>,
     auto_scale: u64,
@@ -181,6 +182,7 @@ impl StoredForm {
             has_shape: form.layout.has_shape,
             has_weight: form.layout.has_weight,
             has_color: form.layout.has_color,
+            harmonics: form.layout.harmonics,
             attributes: form.attributes.iter().map(column).collect(),
             radius: form.radius.map(f32::to_bits),
             auto_scale: form.auto_scale.to_bits(),
@@ -206,6 +208,7 @@ impl StoredForm {
             has_shape: self.has_shape,
             has_weight: self.has_weight,
             has_color: self.has_color,
+            harmonics: self.harmonics,
             attributes: attributes.iter().map(|info| info.kind).collect(),
         };
         let [up, step] = [self.up, self.step].map(|vector| vector.map(|v| v.map(f64::from_bits)));

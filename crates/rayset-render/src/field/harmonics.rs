@@ -1,0 +1,121 @@
+//! Colours that change with the direction from which points are seen: real spherical harmonics of
+//! the direction from the eye to each point, in the space of their file
+//! (`docs/rendering.md`, Colours of splats).
+
+use rayset_base::geometry::{DAffine3, DVec3};
+use rayset_files::octree::harmonics::{CHANNELS, MOST_COEFFICIENTS, coefficients, decode, stored_bytes};
+
+/// From where points are seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Eye {
+    /// From a place.
+    At(DVec3),
+    /// All along one direction.
+    Along(DVec3),
+}
+
+impl Eye {
+    /// The same in another space.
+    #[must_use]
+    pub fn transformed(self, map: &DAffine3) -> Self {
+        match self {
+            Self::At(place) => Self::At(map.transform_point3(place)),
+            Self::Along(direction) => Self::Along(map.transform_vector3(direction)),
+        }
+    }
+
+    /// The direction from the eye to a place, of length one.
+    #[must_use]
+    pub fn toward(self, place: DVec3) -> DVec3 {
+        let toward = match self {
+            Self::At(eye) => place - eye,
+            Self::Along(direction) => direction,
+        };
+        toward.normalize_or(DVec3::Z)
+    }
+}
+
+/// The values of the harmonics in a direction of length one: first 1, by which what is left of a
+/// stored colour is multiplied, then those of degree 1, 2 and 3. The signs are those of INRIA's
+/// trainer (Kerbl et al., 2023).
+#[inline]
+pub(super) fn basis([x, y, z]: [f64; 3]) -> [f64; MOST_COEFFICIENTS] {
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    [
+        1.0,
+        -0.488_602_511_902_919_9 * y,
+        0.488_602_511_902_919_9 * z,
+        -0.488_602_511_902_919_9 * x,
+        1.092_548_430_592_079_2 * x * y,
+        -1.092_548_430_592_079_2 * y * z,
+        0.315_391_565_252_520_05 * (2.0 * zz - xx - yy),
+        -1.092_548_430_592_079_2 * x * z,
+        0.546_274_215_296_039_6 * (xx - yy),
+        -0.590_043_589_926_643_5 * y * (3.0 * xx - yy),
+        2.890_611_442_640_554 * x * y * z,
+        -0.457_045_799_464_465_8 * y * (4.0 * zz - xx - yy),
+        0.373_176_332_590_115_4 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+        -0.457_045_799_464_465_8 * x * (4.0 * zz - xx - yy),
+        1.445_305_721_320_277 * z * (xx - yy),
+        -0.590_043_589_926_643_5 * x * (xx - 3.0 * yy),
+    ]
+}
+
+/// The display values of a colour in a direction: those that are stored, and what the coefficients
+/// of a point add to them, none below 0. Without an eye, the directions add nothing.
+#[inline]
+pub(super) fn color_toward(
+    stored: [f64; CHANNELS],
+    bytes: &[u8],
+    toward: Option<DVec3>,
+    degree: u8,
+) -> [f64; CHANNELS] {
+    let count = if toward.is_some() { coefficients(degree) } else { 1 };
+    let basis = basis(toward.unwrap_or(DVec3::Z).to_array());
+    let mut color = stored;
+    for (value, channels) in basis[..count].iter().zip(bytes.chunks_exact(CHANNELS)) {
+        for (sum, byte) in color.iter_mut().zip(channels) {
+            *sum += value * f64::from(decode(*byte));
+        }
+    }
+    color.map(|v| v.max(0.0))
+}
+
+/// The bytes of the coefficients of each point of a run.
+pub(super) fn of_points(bytes: &[u8], degree: u8) -> impl Iterator<Item = &[u8]> {
+    bytes.chunks_exact(stored_bytes(degree))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn harmonics_are_orthogonal_and_of_the_right_size() {
+        // Points of a Fibonacci lattice stand for equal areas.
+        const POINTS: usize = 20_000;
+        let golden = std::f64::consts::PI * (5_f64.sqrt() - 1.0);
+        let mut sums = [[0.0; MOST_COEFFICIENTS]; MOST_COEFFICIENTS];
+        for i in 0..POINTS {
+            let z = 1.0 - (2.0 * i as f64 + 1.0) / POINTS as f64;
+            let (sin, cos) = (golden * i as f64).sin_cos();
+            let across = (1.0 - z * z).sqrt();
+            let values = basis([across * cos, across * sin, z]);
+            for (row, a) in sums.iter_mut().zip(values) {
+                row.iter_mut().zip(values).for_each(|(sum, b)| *sum += a * b);
+            }
+        }
+        for (i, row) in sums.iter().enumerate() {
+            for (j, sum) in row.iter().enumerate() {
+                let integral = sum / POINTS as f64 * 4.0 * std::f64::consts::PI;
+                // The constant one is 1, and not ½·√(1/π).
+                let expected = match (i == j, i) {
+                    (true, 0) => 4.0 * std::f64::consts::PI,
+                    (true, _) => 1.0,
+                    (false, _) => 0.0,
+                };
+                assert!((integral - expected).abs() < 2e-3, "{i}, {j}: {integral}");
+            }
+        }
+    }
+}
