@@ -17,7 +17,8 @@ use rayset::octree::build::{self, BuildControl, BuildOptions, Rule};
 use rayset::octree::verify::Depth;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene::{
-    Camera, CloudObject, Compositing, GridObject, Lighting, Node, RenderSettings, Samples, Scene, Shape,
+    Camera, CloudObject, ColorRule, Compositing, GridObject, Kernel, Lighting, Node, OpacityRule,
+    RenderSettings, Samples, Scene, Shape,
 };
 use rayset::scene_file::SceneFile;
 use rayset::trace::{ExecSettings, render_once};
@@ -89,13 +90,10 @@ pub fn points(data: &[u8]) {
         }
     }
     let attributes: Vec<String> = source.schema().names().take(5).map(str::to_owned).collect();
-    let options = BuildOptions {
-        radius: Some(Rule::Auto),
-        attributes,
-        memory_bytes: 16 << 20,
-        threads: 1,
-        ..BuildOptions::default()
-    };
+    // With radii and shapes that are measured, or those of the file.
+    let radius = data.len().is_multiple_of(2).then_some(Rule::Auto);
+    let options =
+        BuildOptions { radius, attributes, memory_bytes: 16 << 20, threads: 1, ..BuildOptions::default() };
     let Ok(source) = open() else { return };
     let cloud = folder().join("built.rset");
     match build::run(vec![source], &cloud, &options, &BuildControl::default()) {
@@ -103,8 +101,24 @@ pub fn points(data: &[u8]) {
         Ok(_) => {
             let cloud = Cloud::open(&cloud).expect("what is built opens");
             cloud.verify(Depth::Deep).expect("what is built is whole");
+            pictures_of(cloud);
         }
     }
+}
+
+/// Pictures of a cloud as it is, and as splats, whatever its weights are.
+fn pictures_of(cloud: Cloud) {
+    let settings = RenderSettings { width: 6, height: 6, ..RenderSettings::default() };
+    let mut object = CloudObject::plain(Arc::new(cloud));
+    let plain = Scene::of_cloud(object.clone());
+    picture(&plain, &framing(&plain), &settings);
+    object.kernel = Kernel::Splat;
+    object.transfer.opacity = OpacityRule::Extinction(1.0);
+    if object.cloud.header().has_color {
+        object.transfer.color = ColorRule::Points;
+    }
+    let splats = Scene { compositing: Compositing::Display, ..Scene::of_cloud(object) };
+    picture(&splats, &framing(&splats), &settings);
 }
 
 /// Volumes: builds a grid, and checks it.
@@ -159,8 +173,7 @@ pub fn files(data: &[u8]) {
             if let Err(error) = cloud.verify(Depth::Deep) {
                 sentence(&error);
             }
-            let scene = Scene::of_cloud(CloudObject::plain(Arc::new(cloud)));
-            picture(&scene, &framing(&scene), &settings);
+            pictures_of(cloud);
         }
     }
     match Grid::open(&path) {

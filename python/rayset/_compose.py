@@ -124,6 +124,9 @@ def compose(target: Object, options: Mapping[str, Any], camera: Camera | None, s
         if all("transferFunction" in node for node in _leaves(target._node)):
             # It belongs to looks of surfaces, and nothing here has one.
             scene.get("rendering", {}).pop("ambientOcclusion", None)
+        if len(chosen) > 1 and "compositing" not in said:
+            # Splats alone are blended as they were trained; light of several objects adds up.
+            scene.get("rendering", {}).pop("compositing", None)
         if not _is_framed_by_first(target):
             scene["camera"] = {key: first["camera"][key] for key in ("type", "up", "fovy") if key in first["camera"]}
             scene["camera"]["direction"] = _direction(first["camera"])

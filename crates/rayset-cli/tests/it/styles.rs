@@ -25,6 +25,7 @@ const SAID: &[(&str, &[&str])] = &[
     ("value-range", &["--value-range=10%:60%", "--color-by=x"]),
     ("log", &["--log", "--color-by=x", "--value-range=0.1:2"]),
     ("shading", &["--shading=none"]),
+    ("compositing", &["--compositing=display", "--ambient-occlusion=0"]),
     ("ambient-occlusion", &["--ambient-occlusion=2"]),
     ("background", &["--background=#203040"]),
     ("step", &["--step=0.3"]),

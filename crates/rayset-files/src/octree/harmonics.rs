@@ -22,6 +22,9 @@ pub const fn stored_bytes(degree: u8) -> usize {
 /// The nearest coefficient that can be stored. What is no number is 0.
 #[must_use]
 pub fn encode(coefficient: f64) -> u8 {
+    if coefficient.is_nan() {
+        return 0;
+    }
     let size = (coefficient.abs() / LARGEST).sqrt().min(1.0) * MOST;
     (size.round().copysign(coefficient) as i8).cast_unsigned()
 }

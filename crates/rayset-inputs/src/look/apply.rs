@@ -155,6 +155,12 @@ impl Style {
         if let Some(compositing) = self.compositing {
             let is_linear = compositing == Compositing::Linear;
             rendering["compositing"] = json!(if is_linear { "linear" } else { "display" });
+            // What the look would have goes where it does not go with what is asked for.
+            if !is_linear && self.ambient_occlusion.is_none() {
+                remove(rendering, &["ambientOcclusion"]);
+            }
+        } else if self.ambient_occlusion.is_some_and(|strength| strength > 0.0) {
+            remove(rendering, &["compositing"]);
         }
         if let Some(occlusion) = self.ambient_occlusion {
             rendering["ambientOcclusion"] = json!(occlusion);

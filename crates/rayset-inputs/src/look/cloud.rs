@@ -91,8 +91,9 @@ impl CloudLook {
             _ if has_colors => Paint::Points,
             _ => Paint::Plain,
         };
-        let exposure =
-            if paint == Paint::Points { exposure_of(&statistics.brightnesses(header)) } else { 0.0 };
+        // Captures are shown as they were trained.
+        let may_be_dark = paint == Paint::Points && name != LookName::Splats;
+        let exposure = if may_be_dark { exposure_of(&statistics.brightnesses(header)) } else { 0.0 };
         let is_normalised = !header.weight.is_stored()
             && f64::from(header.radius.min()) > NORMALISED_RADII[0]
             && f64::from(header.radius.max()) < NORMALISED_RADII[1];

@@ -19,6 +19,7 @@ const TYPED: &[(&str, &str)] = &[
     ("value-range", "-1:99%"),
     ("log", ""),
     ("shading", "none"),
+    ("compositing", "display"),
     ("ambient-occlusion", "0.5"),
     ("background", "none"),
     ("step", "auto"),

@@ -38,9 +38,8 @@ const INTEGRATED: [f32; TERMS] =
 /// ln(512·o) of an opacity o: half the square of the radius, in deviations. Zero for splats that
 /// absorb too little, or nothing at all.
 pub(super) fn extent(opacity: f32) -> f32 {
-    let opacity = f64::from(opacity);
     // A number that is none is not above it.
-    if opacity > 1.0 / CUT { (CUT * opacity.min(MOST_OPAQUE)).ln() as f32 } else { 0.0 }
+    if opacity > (1.0 / CUT) as f32 { (LN_CUT + ln(opacity.min(MOST_OPAQUE as f32))).max(0.0) } else { 0.0 }
 }
 
 /// A ray through a splat. Distances along it are from the place nearest to the centre, in radii.

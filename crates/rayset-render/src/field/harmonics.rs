@@ -39,7 +39,7 @@ impl Eye {
 /// stored colour is multiplied, then those of degree 1, 2 and 3. The signs are those of INRIA's
 /// trainer (Kerbl et al., 2023).
 #[inline]
-pub(super) fn basis([x, y, z]: [f64; 3]) -> [f64; MOST_COEFFICIENTS] {
+pub(super) fn harmonics([x, y, z]: [f64; 3]) -> [f64; MOST_COEFFICIENTS] {
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [
         1.0,
@@ -61,6 +61,16 @@ pub(super) fn basis([x, y, z]: [f64; 3]) -> [f64; MOST_COEFFICIENTS] {
     ]
 }
 
+/// The harmonics in the direction from an eye to a place, of which those of degrees that a point
+/// does not have are multiplied by nothing. Without an eye, the directions add nothing.
+#[inline]
+pub(super) fn basis(eye: Option<Eye>, place: DVec3) -> [f32; MOST_COEFFICIENTS] {
+    match eye {
+        Some(eye) => harmonics(eye.toward(place).to_array()).map(|v| v as f32),
+        None => std::array::from_fn(|k| if k == 0 { 1.0 } else { 0.0 }),
+    }
+}
+
 /// The display values of a colour in a direction: those that are stored, and what the coefficients
 /// of a point add to them, none below 0. Without an eye, the directions add nothing.
 #[inline]
@@ -71,7 +81,7 @@ pub(super) fn color_toward(
     degree: u8,
 ) -> [f64; CHANNELS] {
     let count = if toward.is_some() { coefficients(degree) } else { 1 };
-    let basis = basis(toward.unwrap_or(DVec3::Z).to_array());
+    let basis = harmonics(toward.unwrap_or(DVec3::Z).to_array());
     let mut color = stored;
     for (value, channels) in basis[..count].iter().zip(bytes.chunks_exact(CHANNELS)) {
         for (sum, byte) in color.iter_mut().zip(channels) {
@@ -79,6 +89,32 @@ pub(super) fn color_toward(
         }
     }
     color.map(|v| v.max(0.0))
+}
+
+/// Coefficients that are added together: as many as there are channels, times lanes of a vector.
+const TOGETHER: usize = 8 * CHANNELS;
+const MOST_BYTES: usize = CHANNELS * MOST_COEFFICIENTS;
+const _: () = assert!(MOST_BYTES.is_multiple_of(TOGETHER), "whole groups of coefficients");
+
+/// As [`color_toward`], in single precision, of a point with this [basis] in its direction.
+#[inline]
+pub(super) fn color(
+    stored: [f32; CHANNELS],
+    bytes: &[u8],
+    basis: &[f32; MOST_COEFFICIENTS],
+) -> [f32; CHANNELS] {
+    let mut whole = [0; MOST_BYTES];
+    whole[..bytes.len()].copy_from_slice(bytes);
+    let mut sums = [0.0; TOGETHER];
+    for first in (0..MOST_BYTES).step_by(TOGETHER) {
+        for i in 0..TOGETHER {
+            sums[i] += basis[(first + i) / CHANNELS] * decode(whole[first + i]);
+        }
+    }
+    std::array::from_fn(|channel| {
+        let sum: f32 = sums[channel..].iter().step_by(CHANNELS).sum();
+        (stored[channel] + sum).max(0.0)
+    })
 }
 
 /// The bytes of the coefficients of each point of a run.
@@ -100,7 +136,7 @@ mod tests {
             let z = 1.0 - (2.0 * i as f64 + 1.0) / POINTS as f64;
             let (sin, cos) = (golden * i as f64).sin_cos();
             let across = (1.0 - z * z).sqrt();
-            let values = basis([across * cos, across * sin, z]);
+            let values = harmonics([across * cos, across * sin, z]);
             for (row, a) in sums.iter_mut().zip(values) {
                 row.iter_mut().zip(values).for_each(|(sum, b)| *sum += a * b);
             }

@@ -3,11 +3,18 @@
 
 use super::run::{DECODED_BYTES, DecodedRun};
 
-/// Most runs that are kept: about what a packet and its neighbours need.
-const MOST_KEPT: usize = 32;
+/// The memory for runs that are kept, in the largest runs that are not wide: what a packet and its
+/// neighbours need of ellipsoids.
+const ROOM: usize = 128;
+
+/// Balls are decoded soon: so much less memory is for them.
+const LESS_FOR_BALLS: usize = 4;
+
+/// Most runs whose memory waits for others.
+const MOST_SPARE: usize = 2;
 
 /// The most bytes that kept runs take: larger runs are not kept.
-pub const KEPT_BYTES: usize = MOST_KEPT * (size_of::<Kept>() + DECODED_BYTES);
+pub const KEPT_BYTES: usize = (ROOM + MOST_SPARE) * (size_of::<Kept>() + DECODED_BYTES);
 
 /// Which run it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,8 +32,10 @@ pub struct RunKey {
 pub(super) struct KeptRuns {
     /// Whether there is memory for them.
     has_room: bool,
+    /// In the order of their last use.
     runs: Vec<Kept>,
-    uses: u64,
+    /// Of all of them, of the [`ROOM`].
+    cost: usize,
     /// Memory for others.
     spare: Vec<Box<DecodedRun>>,
 }
@@ -34,7 +43,7 @@ pub(super) struct KeptRuns {
 #[derive(Debug)]
 struct Kept {
     key: RunKey,
-    last_use: u64,
+    cost: usize,
     run: Box<DecodedRun>,
 }
 
@@ -43,36 +52,44 @@ impl KeptRuns {
     pub(super) fn set_room(&mut self, has_room: bool) {
         self.has_room = has_room;
         if !has_room {
-            (self.runs, self.spare) = (Vec::new(), Vec::new());
+            (self.runs, self.spare, self.cost) = (Vec::new(), Vec::new(), 0);
         }
     }
 
     /// Takes a run out, if it is kept as samples that are at least `step` apart need it: `run`
     /// becomes it.
     pub(super) fn take(&mut self, key: RunKey, step: f64, run: &mut Box<DecodedRun>) -> bool {
-        let Some(at) = self.runs.iter().position(|kept| kept.key == key) else { return false };
-        let kept = self.runs.swap_remove(at).run;
+        // Mostly one of those that were used last.
+        let Some(at) = self.runs.iter().rposition(|kept| kept.key == key) else { return false };
+        let Kept { run: kept, cost, .. } = self.runs.remove(at);
+        self.cost -= cost;
         let is_right = kept.is_for(step);
         let other = if is_right { std::mem::replace(run, kept) } else { kept };
-        if other.is_small() {
-            self.spare.push(other);
-        }
+        self.spare(other);
         is_right
     }
 
     /// Keeps a run, if there is room and it is not too large; `run` is memory for another then.
     pub(super) fn keep(&mut self, key: RunKey, run: &mut Box<DecodedRun>) {
-        if !self.has_room || !run.is_small() {
-            return;
-        }
-        self.uses += 1;
-        if self.runs.len() == MOST_KEPT
-            && let Some(oldest) = (0..MOST_KEPT).min_by_key(|&at| self.runs[at].last_use)
-        {
-            self.spare.push(self.runs.swap_remove(oldest).run);
+        run.forget_spare();
+        let Some(memory) = run.memory().filter(|_| self.has_room) else { return };
+        let cost = memory * if run.has_shapes() { 1 } else { LESS_FOR_BALLS };
+        while self.cost + cost > ROOM && !self.runs.is_empty() {
+            let Kept { run, cost, .. } = self.runs.remove(0);
+            self.cost -= cost;
+            self.spare(run);
         }
         let other = self.spare.pop().unwrap_or_default();
-        self.runs.push(Kept { key, last_use: self.uses, run: std::mem::replace(run, other) });
+        self.cost += cost;
+        self.runs.push(Kept { key, cost, run: std::mem::replace(run, other) });
+    }
+
+    /// Keeps the memory of a run for another.
+    fn spare(&mut self, mut run: Box<DecodedRun>) {
+        run.forget_spare();
+        if self.spare.len() < MOST_SPARE && run.memory() == Some(1) {
+            self.spare.push(run);
+        }
     }
 }
 
@@ -97,7 +114,8 @@ mod tests {
         kept.set_room(true);
         keep(&mut kept, 1, 9);
         assert!(!kept.take(key(1), 1.0, &mut found), "it has more columns than were borrowed for");
-        (0..=MOST_KEPT as u16).for_each(|number| keep(&mut kept, number, 8));
+        const MOST: u16 = (ROOM / LESS_FOR_BALLS) as u16;
+        (0..=MOST).for_each(|number| keep(&mut kept, number, 8));
         assert!(!kept.take(key(0), 1.0, &mut found) && kept.take(key(1), 1.0, &mut found));
         assert_eq!(found.attribute.len(), 8);
         assert!(!kept.take(RunKey { page: 3, ..key(2) }, 1.0, &mut found));

@@ -42,8 +42,8 @@ pub struct DecodedRun {
     pub(super) reach: [f32; 3],
     /// No less than the length of the vector of these.
     pub(super) reach_length: f32,
-    /// Whether it may need double precision, as far as its place tells: what is said of it in
-    /// single precision need not hold then.
+    /// Whether it may need double precision, as far as its place tells, or its points once they
+    /// are decoded: what is said of it in single precision need not hold then.
     pub(super) may_be_wide: bool,
     /// Whether the points are splats, whose weights are their [extents](gaussian_splat::extent).
     pub(super) are_splats: bool,
@@ -177,11 +177,10 @@ impl RunDecoder {
         let coefficients = harmonics::of_points(bytes, header.harmonics);
         for (i, (stored, coefficients)) in colors.zip(coefficients).enumerate() {
             let offset = DVec3::from_array([0, 1, 2].map(|axis| f64::from(out.points.position[axis][i])));
-            let toward = eye.map(|eye| eye.toward(out.center + offset));
-            let stored = stored.map(|byte| f64::from(byte) / 255.0);
-            let color = harmonics::color_toward(stored, coefficients, toward, header.harmonics);
+            let basis = harmonics::basis(eye, out.center + offset);
+            let stored = stored.map(|byte| f32::from(byte) * (1.0 / 255.0));
+            let color = harmonics::color(stored, coefficients, &basis);
             for (column, v) in out.attribute.iter_mut().zip(color) {
-                let v = v as f32;
                 column[i] = if self.columns.color_as_displayed { v } else { linear_from_display(v) };
             }
         }
@@ -227,6 +226,7 @@ impl RunDecoder {
         out.radius_min = radius_min as f32 * 0.9999;
         let is_wide = is_wide(out.size, out.least_length, step);
         out.set_wide(is_wide.then_some((run, header)));
+        out.may_be_wide = is_wide;
         // Points in one place follow each other: fifteen of them fill a chunk. Fewer cost little.
         let whole = (1 << (n / CHUNK_POINTS)) - 1;
         if one_place & whole != 0 && !is_wide && !self.are_splats && out.label.is_empty() {
@@ -344,16 +344,28 @@ impl Default for DecodedRun {
 }
 
 impl DecodedRun {
-    /// Whether it takes no more memory than [`DECODED_BYTES`].
-    pub(super) fn is_small(&self) -> bool {
+    /// How many times [`DECODED_BYTES`] it takes at most; `None` if it has more columns.
+    pub(super) fn memory(&self) -> Option<usize> {
+        const WIDE_BYTES: usize = size_of::<WideRun>() + RUN_POINTS * size_of::<[f64; MAP_COLUMNS]>();
+        let has_wide = self.wide.is_some();
         let columns = self.attribute.capacity() + self.label.capacity();
-        self.wide.is_none() && self.spare_wide.is_none() && columns <= MOST_COLUMNS
+        let wide = if has_wide { WIDE_BYTES.div_ceil(DECODED_BYTES) } else { 0 };
+        (columns <= MOST_COLUMNS).then_some(1 + wide)
     }
 
-    /// Whether it is decoded as for samples that are at least `step` apart, as far as its place
-    /// tells.
+    /// Whether its points are no balls, whose decoding takes long.
+    pub(super) fn has_shapes(&self) -> bool {
+        !self.points.map.is_empty()
+    }
+
+    /// Whether it is decoded as for samples that are at least `step` apart.
     pub(super) fn is_for(&self, step: f64) -> bool {
-        !self.may_be_wide && self.wide.is_none() && !is_wide(self.size, self.least_length, step)
+        self.wide.is_some() == is_wide(self.size, self.least_length, step)
+    }
+
+    /// Gives back the memory that waits for runs in double precision.
+    pub(super) fn forget_spare(&mut self) {
+        self.spare_wide = None;
     }
 
     /// Fills up the last chunk with copies of its first point, which do not enlarge its bounds and

@@ -309,6 +309,7 @@ fn files(folder: &Path) -> Vec<Input> {
     use rayset::grid::build::{GridBuildOptions, build};
     let mut inputs = Vec::new();
     let path = folder.join("cloud.rset");
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
     for points in [0, 1, 40, 5000] {
         let options = BuildOptions { attributes: vec!["weight".into()], ..BuildOptions::default() };
         build_at(&path, Box::new(mixed_points(points, 3.0, 1)), &options);
@@ -316,6 +317,11 @@ fn files(folder: &Path) -> Vec<Input> {
         if bytes.len() < 131_072 {
             inputs.push(("files", bytes));
         }
+    }
+    for splats in ["splats/inria.ply", "splats/records.splat"] {
+        let source = points::open(fixtures.join(splats), &ReadOptions::default()).expect("it opens");
+        build_at(&path, source, &BuildOptions::default());
+        inputs.push(("files", std::fs::read(&path).expect("a read")));
     }
     let raw = folder.join("voxels.raw");
     std::fs::write(&raw, (0..1000).map(|i| (i * 7) as u8).collect::<Vec<u8>>()).expect("a write");
@@ -335,6 +341,7 @@ fn scenes(folder: &Path) -> Vec<Input> {
     let own = [
         r#"{"rayset": 1, "root": {"type": "difference", "children": [{"type": "cloud", "file": "cloud.rset", "transferFunction": {"opacity": {"extinction": 3}, "color": "viridis", "input": "weight", "valueRange": [0, 1]}}, {"type": "box", "size": [1, 1, 1], "transform": [{"translate": [0.5, 0, 0]}, {"rotate": {"axis": [0, 1, 0], "degrees": 30}}]}]}}"#,
         r#"{"rayset": 1, "camera": {"position": [9, 4, 30], "direction": [0, 0, -1]}, "lights": [{"type": "point", "position": [5, 20, 5]}, {"type": "directional", "direction": [0, -1, 0]}], "rendering": {"shadows": "exact"}, "root": {"type": "blend", "children": [{"type": "grid", "file": "grid.rset", "transferFunction": {"opacity": [[0, 0], [200, 0.9]], "preset": {"file": "maps.json", "name": "Fire"}}}, {"type": "noise", "radii": [3, 2, 1], "scale": 1}]}}"#,
+        r#"{"rayset": 1, "rendering": {"compositing": "display", "step": 0.1}, "lights": [{"type": "headlight"}], "root": {"type": "union", "children": [{"type": "box", "size": [1, 1, 1]}, {"type": "difference", "children": [{"type": "cloud", "file": "cloud.rset", "kernel": "splat", "radiusScale": 2, "transferFunction": {"opacity": {"extinction": 1}}, "transform": {"scale": [1, -2, 3]}}, {"type": "sphere", "radius": 1}]}]}}"#,
         r##"{"rayset": 1, "animation": {"keys": [{"frame": 0, "camera": {"position": [0, 0, 5]}}, {"frame": 9, "camera": {"position": [0, 5, 5]}}]}, "define": {"ball": {"type": "sphere", "radius": 1, "edge": 0.1, "color": "#ff8000", "material": {"reflectance": 0.4}}}, "root": {"type": "union", "children": [{"ref": "ball"}, {"ref": "ball", "transform": {"scale": 2, "translate": [2, 0, 0]}}, {"type": "torus", "majorRadius": 1, "minorRadius": 0.2, "material": {"refractiveIndex": 1.5}}]}}"##,
     ];
     let parsed = own.into_iter().chain([mirrors.as_str()]).map(|text| {

@@ -51,6 +51,7 @@ fn the_bounds_of_a_run_hold_its_points_closely() {
                     store_radius: false,
                     weight: None,
                     color: None,
+                    harmonics: &[],
                     shape: None,
                     attributes: &[],
                 };
@@ -143,6 +144,7 @@ fn points_with_shapes_are_placed_as_their_thinnest_axes_need_and_take_fourteen_b
                 store_radius: true,
                 weight: None,
                 color: Some(&color),
+                harmonics: &[],
                 shape: Some(&shapes),
                 attributes: &[&classes],
             };
