@@ -101,6 +101,12 @@ fn raised(x: f32, n: f32) -> f32 {
     if exponent > 0.0 { 1.0 / of_its_size } else { of_its_size }
 }
 
+/// Decodes a display-encoded (sRGB) value from 0 to 1 to linear light (IEC 61966-2-1).
+#[must_use]
+pub fn linear_from_srgb(v: f64) -> f64 {
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
 /// The value that a display is given for linear light x ≥ 0 (IEC 61966-2-1), relative error below
 /// 4e-6.
 #[inline(always)]

@@ -1,6 +1,8 @@
 //! Points by columns, as they are tested against rays: those of a run, or the ones among them that
 //! are near some rays. And which columns of attributes come with them.
 
+use fearless_simd::f32x8;
+use fearless_simd::prelude::*;
 use rayset_base::bytes::list_bytes;
 use rayset_files::octree::layout::RUN_POINTS;
 
@@ -110,4 +112,37 @@ impl AttributeColumns {
     pub fn first_scalar(&self) -> usize {
         if self.color { 3 } else { 0 }
     }
+}
+
+/// Eight chunks of a column.
+#[inline(always)]
+pub(super) fn chunks_of<S: Simd>(simd: S, column: &[f32; RUN_POINTS], group: usize) -> [f32x8<S>; 8] {
+    let mut chunks = [f32x8::splat(simd, 0.0); 8];
+    let column = &column[64 * group..64 * group + 64];
+    for chunk in 0..8 {
+        chunks[chunk] = f32x8::from_slice(simd, &column[8 * chunk..8 * chunk + 8]);
+    }
+    chunks
+}
+
+/// The largest element of each of eight vectors, or the smallest.
+#[inline(always)]
+pub(super) fn fold<S: Simd, const LARGEST: bool>(v: [f32x8<S>; 8]) -> f32x8<S> {
+    let quarters = [
+        fold_pairs::<S, LARGEST>(v[0], v[1]),
+        fold_pairs::<S, LARGEST>(v[2], v[3]),
+        fold_pairs::<S, LARGEST>(v[4], v[5]),
+        fold_pairs::<S, LARGEST>(v[6], v[7]),
+    ];
+    fold_pairs::<S, LARGEST>(
+        fold_pairs::<S, LARGEST>(quarters[0], quarters[1]),
+        fold_pairs::<S, LARGEST>(quarters[2], quarters[3]),
+    )
+}
+
+/// The larger element of each pair of neighbours in two vectors, or the smaller.
+#[inline(always)]
+fn fold_pairs<S: Simd, const LARGEST: bool>(a: f32x8<S>, b: f32x8<S>) -> f32x8<S> {
+    let (even, odd) = (a.unzip_low(b), a.unzip_high(b));
+    if LARGEST { even.max(odd) } else { even.min(odd) }
 }

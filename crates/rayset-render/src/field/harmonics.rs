@@ -2,8 +2,12 @@
 //! the direction from the eye to each point, in the space of their file
 //! (`docs/rendering.md`, Colours of splats).
 
+use crate::math::linear_from_display;
 use rayset_base::geometry::{DAffine3, DVec3};
+use rayset_files::octree::format::Header;
 use rayset_files::octree::harmonics::{CHANNELS, MOST_COEFFICIENTS, coefficients, decode, stored_bytes};
+use rayset_files::octree::layout::RUN_POINTS;
+use rayset_files::octree::page::Run;
 
 /// From where points are seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,6 +119,26 @@ pub(super) fn color(
         let sum: f32 = sums[channel..].iter().step_by(CHANNELS).sum();
         (stored[channel] + sum).max(0.0)
     })
+}
+
+/// Fills the columns of the colours of a run's points with those that an eye in the cloud's space
+/// sees. Their places are relative to a centre.
+pub(super) fn fill_colors(
+    (run, header): (&Run<'_>, &Header),
+    eye: Option<Eye>,
+    (center, position): (DVec3, &[[f32; RUN_POINTS]; 3]),
+    as_displayed: bool,
+    columns: &mut [[f32; RUN_POINTS]],
+) {
+    let (Some(colors), Some(bytes)) = (run.colors(header), run.harmonics(header)) else { return };
+    for (i, (stored, bytes)) in colors.zip(of_points(bytes, header.harmonics)).enumerate() {
+        let offset = DVec3::from_array([0, 1, 2].map(|axis| f64::from(position[axis][i])));
+        let basis = basis(eye, center + offset);
+        let seen = color(stored.map(|byte| f32::from(byte) * (1.0 / 255.0)), bytes, &basis);
+        for (column, v) in columns.iter_mut().zip(seen) {
+            column[i] = if as_displayed { v } else { linear_from_display(v) };
+        }
+    }
 }
 
 /// The bytes of the coefficients of each point of a run.

@@ -24,6 +24,7 @@ mod splat;
 mod splat_wide;
 mod sums;
 
+pub use crate::math::linear_from_srgb;
 pub use batch::{Appended, BATCH_BYTES, RunBatch};
 pub use columns::AttributeColumns;
 pub use counts::SplatCounts;
@@ -32,7 +33,7 @@ pub use kept_runs::{KEPT_BYTES, RunKey};
 pub use kernel::Kernel;
 pub use packet::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 pub use ray_columns::{ChosenRays, Crossing, Near, RayColumns};
-pub use run::{DecodedRun, RunDecoder, linear_from_srgb};
+pub use run::{DecodedRun, RunDecoder};
 pub use samples::{Channels, FieldSamples, LeastAbsorption, RayEnds, SampleRow};
 pub use simd::SimdLevel;
 pub(crate) use simd::dispatch;

@@ -5,7 +5,7 @@ use super::columns::AttributeColumns;
 use super::gaussian_splat::exact::{self, splat_radius};
 use super::harmonics::{self, Eye};
 use super::kernel::Kernel;
-use super::run::linear_from_srgb;
+use crate::math::linear_from_srgb;
 use rayset_base::geometry::{DMat3, DVec3, Ray, Shape};
 use rayset_files::octree::Cloud;
 use rayset_files::octree::format::Header;

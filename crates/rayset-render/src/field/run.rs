@@ -3,13 +3,15 @@
 use fearless_simd::f32x8;
 use fearless_simd::prelude::*;
 
-use super::columns::{AttributeColumns, CHUNK_POINTS, CHUNKS, MAP_BYTES, MAP_COLUMNS, PointColumns};
+use super::columns::{
+    AttributeColumns, CHUNK_POINTS, CHUNKS, MAP_BYTES, MAP_COLUMNS, PointColumns, chunks_of, fold,
+};
 use super::gaussian_splat;
 use super::harmonics::{self, Eye};
 use super::kernel::Kernel;
 use super::plates::Plates;
 use super::simd::{SimdLevel, dispatch};
-use crate::math::linear_from_display;
+use crate::math::linear_from_srgb;
 use rayset_base::geometry::DVec3;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
@@ -167,22 +169,9 @@ impl RunDecoder {
     ) {
         dispatch!(simd.level(), token => self.decode_with(token, simd, run, header, step, out));
         if self.columns.color && header.harmonics > 0 {
-            self.add_harmonics(run, header, eye, out);
-        }
-    }
-
-    /// Makes the colours those that are seen by an eye in the cloud's space.
-    fn add_harmonics(&self, run: &Run<'_>, header: &Header, eye: Option<Eye>, out: &mut DecodedRun) {
-        let (Some(colors), Some(bytes)) = (run.colors(header), run.harmonics(header)) else { return };
-        let coefficients = harmonics::of_points(bytes, header.harmonics);
-        for (i, (stored, coefficients)) in colors.zip(coefficients).enumerate() {
-            let offset = DVec3::from_array([0, 1, 2].map(|axis| f64::from(out.points.position[axis][i])));
-            let basis = harmonics::basis(eye, out.center + offset);
-            let stored = stored.map(|byte| f32::from(byte) * (1.0 / 255.0));
-            let color = harmonics::color(stored, coefficients, &basis);
-            for (column, v) in out.attribute.iter_mut().zip(color) {
-                column[i] = if self.columns.color_as_displayed { v } else { linear_from_display(v) };
-            }
+            let places = (out.center, &out.points.position);
+            let as_displayed = self.columns.color_as_displayed;
+            harmonics::fill_colors((run, header), eye, places, as_displayed, &mut out.attribute);
         }
     }
 
@@ -312,12 +301,6 @@ fn decode_attribute(run: &Run<'_>, header: &Header, index: usize, column: &mut [
     }
 }
 
-/// Decodes a display-encoded (sRGB) value from 0 to 1 to linear light (IEC 61966-2-1).
-#[must_use]
-pub fn linear_from_srgb(v: f64) -> f64 {
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-}
-
 impl Default for DecodedRun {
     fn default() -> Self {
         Self {
@@ -442,37 +425,4 @@ impl DecodedRun {
         wide.decode_maps(run, header, &self.points.radius);
         self.wide = Some(wide);
     }
-}
-
-/// Eight chunks of a column.
-#[inline(always)]
-fn chunks_of<S: Simd>(simd: S, column: &[f32; RUN_POINTS], group: usize) -> [f32x8<S>; 8] {
-    let mut chunks = [f32x8::splat(simd, 0.0); 8];
-    let column = &column[64 * group..64 * group + 64];
-    for chunk in 0..8 {
-        chunks[chunk] = f32x8::from_slice(simd, &column[8 * chunk..8 * chunk + 8]);
-    }
-    chunks
-}
-
-/// The largest element of each of eight vectors, or the smallest.
-#[inline(always)]
-fn fold<S: Simd, const LARGEST: bool>(v: [f32x8<S>; 8]) -> f32x8<S> {
-    let quarters = [
-        fold_pairs::<S, LARGEST>(v[0], v[1]),
-        fold_pairs::<S, LARGEST>(v[2], v[3]),
-        fold_pairs::<S, LARGEST>(v[4], v[5]),
-        fold_pairs::<S, LARGEST>(v[6], v[7]),
-    ];
-    fold_pairs::<S, LARGEST>(
-        fold_pairs::<S, LARGEST>(quarters[0], quarters[1]),
-        fold_pairs::<S, LARGEST>(quarters[2], quarters[3]),
-    )
-}
-
-/// The larger element of each pair of neighbours in two vectors, or the smaller.
-#[inline(always)]
-fn fold_pairs<S: Simd, const LARGEST: bool>(a: f32x8<S>, b: f32x8<S>) -> f32x8<S> {
-    let (even, odd) = (a.unzip_low(b), a.unzip_high(b));
-    if LARGEST { even.max(odd) } else { even.min(odd) }
 }

@@ -320,6 +320,7 @@ fn files(folder: &Path) -> Vec<Input> {
     }
     for splats in ["splats/inria.ply", "splats/records.splat"] {
         let source = points::open(fixtures.join(splats), &ReadOptions::default()).expect("it opens");
+        let path = folder.join("splats.rset");
         build_at(&path, source, &BuildOptions::default());
         inputs.push(("files", std::fs::read(&path).expect("a read")));
     }
