@@ -8,7 +8,9 @@ use anyhow::{Context as _, Result};
 use rayset::PagedFiles;
 use rayset::geometry::{DAffine3, DQuat, DVec3};
 use rayset::octree::Cloud;
-use rayset::scene::{Compositing, Camera, Light, LightKind, Lighting, Node, Operator, RenderSettings, Scene, Shape, Step};
+use rayset::scene::{
+    Camera, Compositing, Light, LightKind, Lighting, Node, Operator, RenderSettings, Scene, Shape, Step,
+};
 use rayset::trace::{ExecSettings, Session};
 use rayset::working_set::read::{self, BackendKind};
 use rayset::working_set::{Limits, WorkingSet};
