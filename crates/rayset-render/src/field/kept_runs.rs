@@ -10,8 +10,8 @@ const ROOM: usize = 128;
 /// Balls are decoded soon: so much less memory is for them.
 const LESS_FOR_BALLS: usize = 4;
 
-/// Most runs whose memory waits for others.
-const MOST_SPARE: usize = 2;
+/// Most runs whose memory waits for others: as many as are taken out for a batch.
+const MOST_SPARE: usize = 9;
 
 /// The most bytes that kept runs take: larger runs are not kept.
 pub const KEPT_BYTES: usize = (ROOM + MOST_SPARE) * (size_of::<Kept>() + DECODED_BYTES);
