@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     /// Options of looks, each with those without which it means nothing.
-    const SAID: [&[(&str, &str)]; 19] = [
+    const SAID: [&[(&str, &str)]; 20] = [
         &[],
         &[("look", "gas")],
         &[("kernel", "chen")],
@@ -157,6 +157,7 @@ mod tests {
         &[("color-by", "x"), ("value-range", "10%:60%")],
         &[("look", "gas"), ("log", "")],
         &[("shading", "none")],
+        &[("compositing", "display")],
         &[("ambient-occlusion", "2")],
         &[("background", "none")],
         &[("step", "0.3")],
