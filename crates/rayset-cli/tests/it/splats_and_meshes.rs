@@ -1,4 +1,4 @@
-//! Clouds of Gaussian splats and of meshes: what is said when they are built.
+//! Clouds of Gaussian splats and of meshes: what is kept, and said, when they are built.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -17,15 +17,16 @@ fn build(folder: &Path, fixture: &str, arguments: &[&str]) -> (String, String) {
 }
 
 #[test]
-fn a_build_says_what_of_splats_is_lost_and_keeps_their_opacity_and_deviations() {
+fn a_build_of_splats_keeps_their_opacity_and_deviations_and_the_colours_of_all_directions() {
     let folder = folder();
     let (said, remarks) =
         build(folder.path(), "splats/v4.spz", &["--attributes", "opacity,scale_0,scale_1,scale_2"]);
     assert!(said.contains("c.rset: 40 points"), "{said}");
-    assert!(
-        remarks.contains("v4.spz: Colours of Gaussian splats do not change with the view here"),
-        "{remarks}"
-    );
+    assert!(!remarks.contains("left out"), "{remarks}");
+    let mut info = Command::new(env!("CARGO_BIN_EXE_rayset"));
+    let info = info.current_dir(folder.path()).args(["info", "c.rset"]).output().expect("the program runs");
+    let info = String::from_utf8_lossy(&info.stdout).into_owned();
+    assert!(info.contains("by direction: harmonics of degree 1") && info.contains("scale_2"), "{info}");
 }
 
 #[test]
