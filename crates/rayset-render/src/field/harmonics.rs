@@ -150,6 +150,43 @@ pub(super) fn of_points(bytes: &[u8], degree: u8) -> impl Iterator<Item = &[u8]>
 mod tests {
     use super::*;
 
+    /// The associated Legendre function of degree l and order m ≥ 0, with the phase (−1)ᵐ.
+    fn legendre(l: i32, m: i32, x: f64) -> f64 {
+        let odd = (1..=m).map(|k| f64::from(1 - 2 * k)).product::<f64>();
+        let (mut below, mut value) = (0.0, odd * (1.0 - x * x).sqrt().powi(m));
+        for k in m + 1..=l {
+            let next = (f64::from(2 * k - 1) * x * value - f64::from(k + m - 1) * below) / f64::from(k - m);
+            (below, value) = (value, next);
+        }
+        value
+    }
+
+    #[test]
+    fn harmonics_are_those_of_legendre_functions_with_their_phase_in_the_order_of_m() {
+        let factorial = |n: i32| (1..=n).map(f64::from).product::<f64>();
+        for direction in [DVec3::new(0.3, -0.5, 0.8), DVec3::new(-0.9, 0.2, -0.1), DVec3::new(0.1, 0.7, 0.4)]
+        {
+            let direction = direction.normalize();
+            let found = harmonics(direction.to_array());
+            let (turn, mut k) = (direction.y.atan2(direction.x), 1);
+            for l in 1..=3_i32 {
+                for m in -l..=l {
+                    let order = m.abs();
+                    let part = factorial(l - order) / factorial(l + order);
+                    let size = (f64::from(2 * l + 1) / (4.0 * std::f64::consts::PI) * part).sqrt();
+                    let around = match m {
+                        0 => 1.0,
+                        _ if m < 0 => std::f64::consts::SQRT_2 * (f64::from(order) * turn).sin(),
+                        _ => std::f64::consts::SQRT_2 * (f64::from(order) * turn).cos(),
+                    };
+                    let expected = size * legendre(l, order, direction.z) * around;
+                    assert!((found[k] - expected).abs() < 1e-12, "{l}, {m}: {} and {expected}", found[k]);
+                    k += 1;
+                }
+            }
+        }
+    }
+
     #[test]
     fn harmonics_are_orthogonal_and_of_the_right_size() {
         // Points of a Fibonacci lattice stand for equal areas.

@@ -69,6 +69,14 @@ pub enum SceneError {
     /// A node other than a difference has a cap.
     #[error("only a difference has a cap: it is what taking away lays bare")]
     Cap,
+    /// Display values are composited where light is added or taken after the fact.
+    #[error(
+        "display values are composited of scenes without {what}; leave it out, or composite linear light"
+    )]
+    Compositing {
+        /// What does not go with it.
+        what: &'static str,
+    },
     /// The scene has no finite bounds.
     #[error("the scene has no end: cut its half-spaces off with an intersection")]
     Unbounded,

@@ -132,6 +132,30 @@ impl Scene {
         Ok(())
     }
 
+    /// Checks that the values in which light is added up go with the materials and settings.
+    ///
+    /// # Errors
+    /// [`SceneError::Compositing`] if they do not.
+    pub(crate) fn check_compositing(&self, settings: &RenderSettings) -> Result<(), SceneError> {
+        if self.compositing == Compositing::Linear {
+            return Ok(());
+        }
+        let (mut reflects, mut refracts) = (false, false);
+        self.root.for_each(&mut |node: &Node| {
+            let material = node.material.unwrap_or_default();
+            reflects |= material.reflectance > 0.0;
+            refracts |= material.refractive_index != 1.0;
+        });
+        let follows_rays = settings.max_depth > 0 && self.lighting != Lighting::Unlit;
+        let what = match (reflects && follows_rays, refracts && follows_rays) {
+            (true, _) => "reflectance",
+            (_, true) => "refraction",
+            _ if settings.ambient_occlusion > 0.0 => "ambient occlusion",
+            _ => return Ok(()),
+        };
+        Err(SceneError::Compositing { what })
+    }
+
     /// Checks a distance between samples: along a ray there must be few enough samples to be
     /// counted exactly, and in solids, noise and grids, where every sample is evaluated, few enough
     /// to be evaluated in reasonable time.

@@ -149,7 +149,9 @@ impl SceneFile {
             SceneError::UnitDistance => whole.error(e.to_string()),
             _ => root_at.error(e.to_string()),
         })?;
-        scene.check_step(settings.step).map_err(|e| view::step_at(&file).error(e.to_string()))?;
+        let in_rendering = |key: &str, e: SceneError| view::in_rendering(&file, key).error(e.to_string());
+        scene.check_step(settings.step).map_err(|e| in_rendering("step", e))?;
+        scene.check_compositing(&settings).map_err(|e| in_rendering("compositing", e))?;
         let camera = view::camera(&file, &bounds, &settings)?;
         let path = view::path(&file, &bounds, &settings)?;
         let files = document.named.take().into_iter().collect();

@@ -95,12 +95,12 @@ fn step(rendering: &Object<'_>) -> Result<Step, SceneFileError> {
     }
 }
 
-/// The place to which errors about the step refer: the key `step`, otherwise `rendering`, otherwise
-/// the whole file.
-pub(super) fn step_at<'a>(file: &Object<'a>) -> Cursor<'a> {
+/// The place to which errors about a setting refer: its key, otherwise `rendering`, otherwise the
+/// whole file.
+pub(super) fn in_rendering<'a>(file: &Object<'a>, key: &str) -> Cursor<'a> {
     let rendering = file.get("rendering").unwrap_or_else(|| file.cursor.clone());
-    let step = rendering.any_object().ok().and_then(|rendering| rendering.get("step"));
-    step.unwrap_or(rendering)
+    let setting = rendering.any_object().ok().and_then(|rendering| rendering.get(key));
+    setting.unwrap_or(rendering)
 }
 
 /// The length that opacities refer to: the file's value, otherwise a hundredth of the diagonal of

@@ -72,12 +72,6 @@ pub enum SettingError {
     /// The strength of ambient occlusion.
     #[error("ambient occlusion: {0} is not between 0 and 4")]
     AmbientOcclusion(f32),
-    /// Display values are composited where light is added after the fact.
-    #[error(
-        "compositing: display values are composited of scenes without reflectance, refraction and ambient \
-         occlusion; \"linear\" goes with these"
-    )]
-    Compositing,
     /// The number of threads.
     #[error("threads: {0} are more than {MOST_THREADS}")]
     Threads(usize),

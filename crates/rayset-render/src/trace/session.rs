@@ -332,6 +332,7 @@ pub fn render_once(
 fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
     scene.check()?;
     scene.check_step(settings.step)?;
+    scene.check_compositing(settings)?;
     if !(settings.stop_transmittance >= 0.0 && settings.stop_transmittance < 1.0) {
         return Err(SettingError::StopTransmittance(settings.stop_transmittance).into());
     }

@@ -1,5 +1,6 @@
 //! A scene compiled for tracing: immutable, shared by all threads.
 
+use super::RenderError;
 use super::bounce::Bounces;
 use super::composite::Absorption;
 use super::display_values::{all_from_linear, pixel_to_linear};
@@ -9,7 +10,6 @@ use super::ray_tree::PixelLight;
 use super::shade::Shader;
 use super::shadow::ShadowWorld;
 use super::steps::StepRule;
-use super::{RenderError, SettingError};
 use crate::field::SimdLevel;
 use crate::scene::{Compositing, Lighting, RenderSettings, Scene};
 use rayset_files::PagedFiles;
@@ -57,9 +57,6 @@ impl World {
         };
         let turn_rays = bounces.turns.any() && bounces.max_depth > 0 && scene.lighting != Lighting::Unlit;
         let compositing = scene.compositing;
-        if compositing == Compositing::Display && (turn_rays || settings.ambient_occlusion > 0.0) {
-            return Err(SettingError::Compositing.into());
-        }
         Ok(Self {
             shadows: ShadowWorld::compile(scene, settings, simd, paged, &steps, absorption)?,
             bounces: turn_rays.then_some(bounces),

@@ -7,13 +7,13 @@ use rayset::geometry::DVec3;
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::points::{ArraySource, ColumnInfo, ColumnType, Values};
 use rayset::scene::{
-    Channel, CloudObject, ColorMap, ColorRule, Compositing, Form, Lighting, MapInput, Node, OpacityRule,
-    Operator, Palette, Pattern, Procedural, RenderSettings, Scene, Shape, Solid, Step, Transfer,
-    TransferFunction,
+    Channel, CloudObject, ColorMap, ColorRule, Form, MapInput, Node, OpacityRule, Operator, Palette, Pattern,
+    Procedural, RenderSettings, Scene, Shape, Solid, Step, Transfer, TransferFunction,
 };
 use rayset::trace::reference::{ReferenceRenderer, ReferenceSteps};
 
 use crate::common::{Random, build_at, camera, folder, plain_picture, settings};
+use crate::steps_by_place::unlit;
 
 const RED: [f64; 3] = [1.0, 0.0, 0.0];
 const GREEN: [f64; 3] = [0.0, 1.0, 0.0];
@@ -32,16 +32,6 @@ fn block(opacity: f64) -> Node {
     Node::new(Shape::Procedural(
         Arc::new(Solid { opacity, pattern, ..Solid::new(form) }) as Arc<dyn Procedural>
     ))
-}
-
-fn unlit(root: Node) -> Scene {
-    Scene {
-        root: Arc::new(root),
-        lighting: Lighting::Unlit,
-        background: None,
-        unit_distance: 0.1,
-        compositing: Compositing::Linear,
-    }
 }
 
 fn with_transfer(mut node: Node, transfer: Transfer) -> Node {

@@ -1,5 +1,6 @@
 //! Gaussian splats as extinction: what they leave of the light of a pixel, alone and in scenes.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use rayset::field::{Kernel, linear_from_srgb};
@@ -12,7 +13,8 @@ use rayset::scene::{
     CloudObject, Compositing, Form, Material, Node, OpacityRule, Operator, RenderSettings, Scene, SceneError,
     Shape, Step, TransferError,
 };
-use rayset::trace::{ExecSettings, RenderError, SettingError};
+use rayset::scene_file::SceneFile;
+use rayset::trace::{ExecSettings, RenderError};
 
 use crate::common::{Random, camera, look, paged, picture, plain_picture, scene_of, settings};
 use crate::graph::solid;
@@ -199,18 +201,24 @@ fn display_values_are_not_composited_where_light_is_added_after_the_fact() {
     let render = |scene: &Scene, settings: &RenderSettings| {
         picture(scene, &camera(), settings, &ExecSettings::default(), &paged(scene, u64::MAX / 2))
     };
-    let refused = |scene: &Scene, settings: &RenderSettings| {
-        matches!(render(scene, settings), Err(RenderError::Setting(SettingError::Compositing)))
-    };
+    let refused = |scene: &Scene, settings: &RenderSettings, said: &str| matches!(render(scene, settings), Err(RenderError::Scene(SceneError::Compositing { what })) if what == said);
     let mut scene = scene_of(object(&cloud), true);
     scene.compositing = Compositing::Display;
     let plain = settings(8, 8);
-    assert!(refused(&scene, &RenderSettings { ambient_occlusion: 1.0, ..plain }));
+    assert!(refused(&scene, &RenderSettings { ambient_occlusion: 1.0, ..plain }, "ambient occlusion"));
     assert!(render(&scene, &plain).is_ok());
     let mut mirror = Node::new(Shape::Cloud(object(&cloud)));
     mirror.material = Some(Material { reflectance: 0.5, ..Material::default() });
-    scene.root = Arc::new(mirror);
-    assert!(refused(&scene, &plain));
+    let mut glass = mirror.clone();
+    glass.material = Some(Material { refractive_index: 1.5, ..Material::default() });
+    for (root, what) in [(mirror, "reflectance"), (glass, "refraction")] {
+        scene.root = Arc::new(root);
+        assert!(refused(&scene, &plain, what));
+        assert!(render(&scene, &RenderSettings { max_depth: 0, ..plain }).is_ok(), "no ray is followed");
+    }
+    let text = r#"{"rayset": 1, "rendering": {"compositing": "display"}, "root": {"type": "sphere", "radius": 1, "material": {"reflectance": 0.5}}}"#;
+    let error = SceneFile::parse(Path::new("scene.json"), text).map(drop).expect_err("refused").to_string();
+    assert!(error.contains("rendering.compositing") && error.contains("without reflectance"), "{error}");
 }
 
 #[test]

@@ -50,7 +50,7 @@ fn node(cloud: &Arc<Cloud>, depth_of_largest: f64) -> Node {
     Node::new(Shape::Cloud(object))
 }
 
-fn unlit(root: Node) -> Scene {
+pub(crate) fn unlit(root: Node) -> Scene {
     Scene {
         root: Arc::new(root),
         lighting: Lighting::Unlit,

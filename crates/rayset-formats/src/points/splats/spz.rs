@@ -234,14 +234,10 @@ impl RecordReader for SpzReader {
     }
 
     fn finish(&mut self) -> Result<(), ReadError> {
-        let unread = match self.layout {
-            // One reader sees all that is left.
-            Layout::Planar(_) if !self.planes.is_empty() => {
-                self.planes.drain(..self.header.attributes() - 1);
-                0
-            }
-            _ => 0,
-        };
-        self.planes.iter_mut().try_for_each(|plane| plane.finish(unread))
+        if matches!(self.layout, Layout::Planar(_)) && !self.planes.is_empty() {
+            // The last sees all that is left.
+            self.planes.drain(..self.header.attributes() - 1);
+        }
+        self.planes.iter_mut().try_for_each(Plane::finish)
     }
 }

@@ -179,10 +179,8 @@ impl Plane {
         Ok(())
     }
 
-    /// Unpacks another `bytes` bytes, which have to be there, to the end of the stream, whose
-    /// checksum then holds.
-    pub(super) fn finish(&mut self, bytes: u64) -> Result<(), ReadError> {
-        self.skip(bytes)?;
+    /// Unpacks the stream to its end: its checksum then holds.
+    pub(super) fn finish(&mut self) -> Result<(), ReadError> {
         // What is behind the attributes are extensions.
         let mut buffer = [0; 4096];
         while self.read(&mut buffer)? > 0 {}
