@@ -6,8 +6,8 @@
     benches/splats/compare.py target/release/rayset FOLDER CAPTURE.ply... shell fur haze
 
 Captures are PLY files, or the names of made ones, which are written to FOLDER beside the pictures of both. For each
-filter: the peak signal-to-noise ratio of display values in decibels, of all pixels and of those on which either shows
-anything.
+filter (without one, of two rays along each side of a pixel; with one, of one): the peak signal-to-noise ratio of display
+values in decibels, of all pixels and of those on which either shows anything.
 """
 
 import argparse
@@ -55,15 +55,17 @@ def main():
         if capture in MADE:
             capture = path(".ply")
             captures.write(capture, captures.made(name))
-        scene = path(".json")
-        if os.path.exists(scene):
-            os.remove(scene)
-        command = [given.program, "render", capture, "-o", path("-rayset.png"), "--size", given.size]
-        subprocess.run([*command, "--samples=2", "--write-scene", scene, *given.option], check=True, capture_output=True)
-        ours = np.asarray(Image.open(path("-rayset.png")).convert("RGB"))
         splats, cells = captures.read(capture), []
         for low_pass in FILTERS:
-            theirs = rasterise.display(rasterise.rasterise(splats, camera(scene), low_pass, samples=2))
+            rays = 2 if low_pass == "none" else 1
+            shot, scene = path(f"-{low_pass}-rayset.png"), path(f"-{low_pass}.json")
+            if os.path.exists(scene):
+                os.remove(scene)
+            command = [given.program, "render", capture, "-o", shot, "--size", given.size, "--write-scene", scene]
+            command += [f"--samples={rays}", f"--splat-filter={low_pass}", *given.option]
+            subprocess.run(command, check=True, capture_output=True)
+            ours = np.asarray(Image.open(shot).convert("RGB"))
+            theirs = rasterise.display(rasterise.rasterise(splats, camera(scene), low_pass, samples=rays))
             Image.fromarray(theirs).save(path(f"-{low_pass}.png"))
             shown = np.maximum(ours, theirs).max(axis=2) > 0
             cells.append(f"{decibels(ours, theirs, np.ones_like(shown)):.1f}; {decibels(ours, theirs, shown):.1f}")

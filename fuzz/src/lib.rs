@@ -18,7 +18,7 @@ use rayset::octree::verify::Depth;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Compositing, GridObject, Kernel, Lighting, Node, OpacityRule,
-    RenderSettings, Samples, Scene, Shape,
+    RenderSettings, Samples, Scene, Shape, SplatFilter,
 };
 use rayset::scene_file::SceneFile;
 use rayset::trace::{ExecSettings, render_once};
@@ -112,7 +112,7 @@ fn pictures_of(cloud: Cloud) {
     let mut object = CloudObject::plain(Arc::new(cloud));
     let plain = Scene::of_cloud(object.clone());
     picture(&plain, &framing(&plain), &settings);
-    object.kernel = Kernel::Splat;
+    (object.kernel, object.splat_filter) = (Kernel::Splat, SplatFilter::Mip);
     object.transfer.opacity = OpacityRule::Extinction(1.0);
     if object.cloud.header().has_color {
         object.transfer.color = ColorRule::Points;

@@ -4,7 +4,7 @@
 //! Nothing here says how the work is done: threads, memory and input are those of a
 //! [`Session`](crate::Session).
 
-pub use rayset_render::field::Kernel;
+pub use rayset_render::field::{Kernel, SplatFilter};
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub use rayset_render::scene::*;

@@ -143,10 +143,11 @@ mod tests {
     use super::*;
 
     /// Options of looks, each with those without which it means nothing.
-    const SAID: [&[(&str, &str)]; 20] = [
+    const SAID: [&[(&str, &str)]; 21] = [
         &[],
         &[("look", "gas")],
         &[("kernel", "chen")],
+        &[("splat-filter", "3dgs"), ("kernel", "splat"), ("opacity", "extinction:1")],
         &[("normalised", "")],
         &[("radius-scale", "1.5")],
         &[("opacity", "0:0,1:0.5")],

@@ -15,6 +15,7 @@ const SAID: &[(&str, &[&str])] = &[
     ("exposure", &["--exposure=-1.5"]),
     ("look", &["--look=gas"]),
     ("kernel", &["--kernel=chen"]),
+    ("splat-filter", &["--splat-filter=mip", "--kernel=splat", "--opacity=extinction:1"]),
     ("normalised", &["--normalised"]),
     ("radius-scale", &["--radius-scale=1.5"]),
     ("opacity", &["--opacity=0:0,1:0.5"]),

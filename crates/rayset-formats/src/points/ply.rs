@@ -52,11 +52,12 @@ impl PlyReader {
 
         let mut schema = Schema::new(Vec::new(), ColorDepth::Guess);
         schema.description = header.description;
-        // Of nerfstudio.
-        let said = |comment: &str| schema.description.contains(comment);
-        let vertical = ["Vertical Axis: y", "Vertical Axis: z"].iter().position(|comment| said(comment));
+        // Of nerfstudio and of Brush, which write it differently.
+        let comments = schema.description.to_ascii_lowercase();
+        let said = |comment: &str| comments.split("; ").any(|known| known == comment);
+        let vertical = ["vertical axis: y", "vertical axis: z"].iter().position(|comment| said(comment));
         schema.up = vertical.map(|axis| [DVec3::Y, DVec3::Z][axis]);
-        if header.elements.len() == 1 && vertex.has_layout_of_colmap() && !said(";") {
+        if header.elements.len() == 1 && vertex.has_layout_of_colmap() && !comments.contains(';') {
             schema.description.push_str(", in the layout of COLMAP");
         }
         let (mut properties, mut kinds) = (Vec::new(), Vec::new());

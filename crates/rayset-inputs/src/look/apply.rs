@@ -1,7 +1,7 @@
 //! A style in the place of what a look says: options override what was chosen.
 
 use anyhow::{Result, bail};
-use rayset::scene::{NamedPalette, OpacityRule};
+use rayset::scene::{Kernel, NamedPalette, OpacityRule};
 use serde_json::{Value, json};
 
 use super::ranges::over_logarithm;
@@ -84,6 +84,12 @@ impl Style {
         let root = &mut scene["root"];
         if let Some(kernel) = self.kernel {
             root["kernel"] = json!(kernel.to_string());
+        }
+        if let Some(filter) = self.splat_filter {
+            if root["kernel"] != Kernel::Splat.name() {
+                bail!("--splat-filter is for Gaussian splats: for the kernel `splat`");
+            }
+            root["splatFilter"] = json!(filter.to_string());
         }
         if self.normalised.is_some() {
             root["normalised"] = json!(true);

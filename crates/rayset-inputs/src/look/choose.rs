@@ -7,6 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use rayset::file::Header;
 use rayset::geometry::DVec3;
+use rayset::scene::Kernel;
 use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
@@ -192,6 +193,9 @@ fn of_sampled_cloud(
         // It was for the colours of the points, and is what was asked for.
         chosen.exposure = 0.0;
     }
+    let of_splats = style.kernel.is_none_or(|kernel| kernel == Kernel::Splat);
+    let filter = chosen.filter.filter(|_| of_splats);
+    chosen.filter = filter.map(|guessed| style.splat_filter.unwrap_or(guessed));
     let mut scene = around(
         chosen.root(cloud, &name_in_scene(cloud.address(), cloud.storage().is_some())?),
         &chosen.orientation.reason_and_up(),

@@ -4,6 +4,7 @@ use anyhow::{Result, bail};
 use rayset::Cloud;
 use rayset::file::Header;
 use rayset::geometry::DVec3;
+use rayset::scene::{Kernel, SplatFilter};
 use serde_json::{Value, json};
 
 use super::classes::class_name;
@@ -54,6 +55,8 @@ pub(super) struct CloudLook {
     statistics: Statistics,
     /// Whether the kernels of gas are normalised: the density is that of numbers.
     is_normalised: bool,
+    /// Of splats, how they are filtered.
+    pub(super) filter: Option<SplatFilter>,
     /// Stops by which dark colours are made brighter.
     pub(super) exposure: f64,
     /// What made it so.
@@ -97,7 +100,8 @@ impl CloudLook {
         let is_normalised = !header.weight.is_stored()
             && f64::from(header.radius.min()) > NORMALISED_RADII[0]
             && f64::from(header.radius.max()) < NORMALISED_RADII[1];
-        Ok(Self { name, paint, orientation, statistics, is_normalised, exposure, reason })
+        let filter = filter_of(&header.sources).filter(|_| name == LookName::Splats);
+        Ok(Self { name, paint, orientation, statistics, is_normalised, filter, exposure, reason })
     }
 
     /// The points that the camera frames, each with its radius.
@@ -141,10 +145,13 @@ impl CloudLook {
             root["normalised"] = json!(true);
         }
         if self.name == LookName::Splats {
-            // Weights that are opacities are those of splats; others are extinctions at centres.
-            let are_opacities = |said: &String| said.contains("Gaussian splats, ");
-            let are_splats = cloud.header().sources.iter().any(are_opacities);
-            root["kernel"] = json!(if are_splats { "splat" } else { "gaussian" });
+            match self.filter {
+                Some(filter) => {
+                    root["kernel"] = json!(Kernel::Splat.name());
+                    root["splatFilter"] = json!(filter.name());
+                }
+                None => root["kernel"] = json!(Kernel::Gaussian.name()),
+            }
         }
         root
     }
@@ -291,6 +298,14 @@ impl CloudLook {
                 scene["background"] = json!(NIGHT);
                 scene["rendering"]["unitDistance"] = json!(radius);
                 scene["rendering"]["compositing"] = json!("display");
+                if self.filter.is_some() {
+                    // Which splat is in front is told apart by steps, and costs little.
+                    scene["rendering"]["stepFraction"] = json!(0.05);
+                }
+                if self.filter.is_some_and(|filter| filter != SplatFilter::None) {
+                    // What is filtered has no detail finer than a pixel.
+                    scene["image"]["samples"] = json!(1);
+                }
             }
             _ => {
                 scene["background"] = json!(BACKDROP);
@@ -344,13 +359,26 @@ impl CloudLook {
         } else {
             String::new()
         };
+        let (filtered, option) = match self.filter {
+            Some(filter) => (format!(", filter {filter}"), ", --splat-filter"),
+            None => (String::new(), ""),
+        };
         format!(
-            "look: {} ({}), {paint}{brighter}, {}; --look, --view, --up and --background say otherwise",
+            "look: {} ({}), {paint}{filtered}{brighter}, {}; --look{option}, --view, --up and --background say otherwise",
             self.name.name(),
             self.reason,
             self.orientation.reason_and_up()
         )
     }
+}
+
+/// The filter of splats whose weights are opacities, by what the files that they are from say of
+/// how they were trained; `None` of points that are none of these.
+fn filter_of(sources: &[String]) -> Option<SplatFilter> {
+    let mut splats = sources.iter().filter(|said| said.contains("Gaussian splats, ")).peekable();
+    splats.peek()?;
+    let is_mip = splats.all(|said| said.contains(", antialiased"));
+    Some(if is_mip { SplatFilter::Mip } else { SplatFilter::Dilated })
 }
 
 /// The look that columns and shape suggest, and why.

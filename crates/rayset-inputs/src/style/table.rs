@@ -1,6 +1,6 @@
 //! The table of a style's options. Each option is defined here and nowhere else.
 
-use rayset::scene::{Kernel, NamedPalette, OpacityRule, Samples};
+use rayset::scene::{Kernel, NamedPalette, OpacityRule, Samples, SplatFilter};
 
 use super::kinds::{
     Behind, Color, Kind, LENGTH, Named, Number, Opacity, Range, Rays, Step, Switch, Text, Vector, Word,
@@ -34,6 +34,9 @@ options! {
         /// Kernel: wyvill (by default), chen, gaussian, cubic-spline, wendland-c2, epanechnikov,
         /// triweight, splat
         kernel: Kernel = Named;
+        /// Filter of splats, so that none is seen smaller than a pixel: none, 3dgs, mip; the one that
+        /// their file was trained with, 3dgs if it does not say
+        splat_filter: SplatFilter = Named;
         /// Kernels integrate to one (smoothed-particle hydrodynamics); left out where weights are
         /// densities already, as those of snapshots are
         normalised: Flag = Switch;

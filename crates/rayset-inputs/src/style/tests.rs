@@ -9,6 +9,7 @@ const TYPED: &[(&str, &str)] = &[
     ("exposure", "-1.5"),
     ("look", "gas"),
     ("kernel", "cubic-spline"),
+    ("splat-filter", "mip"),
     ("normalised", ""),
     ("radius-scale", "2.5"),
     ("opacity", "0:0,1:0.5,4:1"),

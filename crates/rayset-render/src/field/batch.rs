@@ -3,12 +3,12 @@
 use fearless_simd::prelude::*;
 
 use super::columns::PointColumns;
-use super::harmonics::Eye;
 use super::kept_runs::{KeptRuns, RunKey};
 use super::lane_ray::Frames;
 use super::packet::{Packet, Slab};
 use super::pairs::Pairs;
 use super::run::{DECODED_BYTES, DecodedRun, RunDecoder};
+use super::sight::Sight;
 use super::simd::{SimdLevel, dispatch};
 use rayset_files::octree::format::Header;
 use rayset_files::octree::page::Run;
@@ -28,7 +28,7 @@ pub struct RunBatch {
     runs: Vec<Box<BatchedRun>>,
     len: usize,
     kept: KeptRuns,
-    eye: Option<Eye>,
+    sight: Option<Sight>,
 }
 
 /// What became of a run.
@@ -81,7 +81,7 @@ impl RunBatch {
         item.key = key;
         let is_known = key.is_some_and(|key| self.kept.take(key, step, &mut item.run));
         if !is_known {
-            decoder.place(run, header, step, &mut item.run);
+            decoder.place(run, header, (step, self.sight.as_ref()), &mut item.run);
         }
         item.set_frames(simd, (packet, slab, lanes));
         if !item.run.may_be_wide && item.frames.meets.iter().all(|meets| meets & lanes == 0) {
@@ -91,7 +91,7 @@ impl RunBatch {
             return Appended::Nothing;
         }
         if !is_known {
-            decoder.decode(run, header, (step, self.eye), simd, &mut item.run);
+            decoder.decode(run, header, (step, self.sight.as_ref()), simd, &mut item.run);
             if item.run.has_plates {
                 item.set_frames(simd, (packet, slab, lanes));
             }
@@ -127,10 +127,9 @@ impl RunBatch {
         is_one
     }
 
-    /// Sets from where points are seen, in their cloud's space; of a cloud it must always be the
-    /// same.
-    pub fn set_eye(&mut self, eye: Option<Eye>) {
-        self.eye = eye;
+    /// Sets how points are seen, in their cloud's space; of a cloud it must always be the same.
+    pub fn set_sight(&mut self, sight: Option<Sight>) {
+        self.sight = sight;
     }
 
     /// Says whether there are [`KEPT_BYTES`](super::KEPT_BYTES) of memory to keep runs in; without,

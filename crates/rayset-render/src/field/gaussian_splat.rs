@@ -27,6 +27,8 @@ const CUT: f64 = 512.0;
 const LN_CUT: f32 = 6.238_324_6;
 /// No splat is more opaque.
 pub(super) const MOST_OPAQUE: f64 = 0.999;
+/// No splat is wider, in deviations: √(2·ln(`CUT`·`MOST_OPAQUE`)), rounded up.
+pub(super) const MOST_DEVIATIONS: f64 = 3.532;
 /// The coefficients of g.
 const SMOOTH: [f32; TERMS] =
     [-1.460_365_4, 0.207_959_28, -0.012_729_554, -0.001_592_518_3, 3.254_315_7e-4, -1.646_080_6e-5];
@@ -263,6 +265,12 @@ mod tests {
             let absorbed = -(-f64::from(sum)).exp_m1();
             prop_assert!((-1e-4..1.0 / CUT + 1e-4).contains(&(drawn - absorbed)), "{drawn} {absorbed}");
         }
+    }
+
+    #[test]
+    fn no_splat_is_wider_than_is_said() {
+        let widest = exact::splat_radius(1.0);
+        assert!((MOST_DEVIATIONS - 1e-3..MOST_DEVIATIONS).contains(&widest), "{widest}");
     }
 
     #[test]

@@ -2,42 +2,13 @@
 //! the direction from the eye to each point, in the space of their file
 //! (`docs/rendering.md`, Colours of splats).
 
+use super::sight::Eye;
 use crate::math::linear_from_display;
-use rayset_base::geometry::{DAffine3, DVec3};
+use rayset_base::geometry::DVec3;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::harmonics::{CHANNELS, MOST_COEFFICIENTS, coefficients, decode, stored_bytes};
 use rayset_files::octree::layout::RUN_POINTS;
 use rayset_files::octree::page::Run;
-
-/// From where points are seen.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Eye {
-    /// From a place.
-    At(DVec3),
-    /// All along one direction.
-    Along(DVec3),
-}
-
-impl Eye {
-    /// The same in another space.
-    #[must_use]
-    pub fn transformed(self, map: &DAffine3) -> Self {
-        match self {
-            Self::At(place) => Self::At(map.transform_point3(place)),
-            Self::Along(direction) => Self::Along(map.transform_vector3(direction)),
-        }
-    }
-
-    /// The direction from the eye to a place, of length one.
-    #[must_use]
-    pub fn toward(self, place: DVec3) -> DVec3 {
-        let toward = match self {
-            Self::At(eye) => place - eye,
-            Self::Along(direction) => direction,
-        };
-        toward.normalize_or(DVec3::Z)
-    }
-}
 
 /// The values of the harmonics in a direction of length one: first 1, by which what is left of a
 /// stored colour is multiplied, then those of degree 1, 2 and 3. The signs are those of INRIA's

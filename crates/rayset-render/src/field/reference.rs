@@ -2,9 +2,12 @@
 //! the file.
 
 use super::columns::AttributeColumns;
+use super::gaussian_splat::MOST_OPAQUE;
 use super::gaussian_splat::exact::{self, splat_radius};
-use super::harmonics::{self, Eye};
+use super::harmonics;
 use super::kernel::Kernel;
+use super::sight::Sight;
+use super::splat_filter::SplatFilter;
 use crate::math::linear_from_srgb;
 use rayset_base::geometry::{DMat3, DVec3, Ray, Shape};
 use rayset_files::octree::Cloud;
@@ -40,6 +43,39 @@ pub struct JudgeHarmonics {
     degree: u8,
     /// Whether the attributes are display values.
     as_displayed: bool,
+}
+
+impl JudgePoint {
+    /// Adds to the covariance of a splat what a filter adds where it is; by `mip`, its opacity
+    /// becomes less as its area across the way to it becomes larger.
+    fn widen(&mut self, filter: SplatFilter, sight: &Sight) {
+        let deviations = splat_radius(self.weight);
+        if deviations == 0.0 {
+            return;
+        }
+        let shape = self.shape.unwrap_or(Shape::BALL);
+        let axes = DMat3::from_quat(shape.rotation);
+        let lengths = DVec3::new(1.0, shape.ratios[0], shape.ratios[1]) * (self.radius / deviations);
+        let wider =
+            (lengths * lengths + filter.variance() * sight.pixel_at(self.position).powi(2)).map(f64::sqrt);
+        if filter == SplatFilter::Mip {
+            let toward = sight.eye.toward(self.position);
+            let (right, up) = toward.any_orthonormal_pair();
+            let area = |lengths: DVec3| {
+                let covariance = axes * DMat3::from_diagonal(lengths * lengths) * axes.transpose();
+                let of = |a: DVec3, b: DVec3| a.dot(covariance * b);
+                (of(right, right) * of(up, up) - of(right, up).powi(2)).max(0.0).sqrt()
+            };
+            self.weight = self.weight.min(MOST_OPAQUE) * (area(lengths) / area(wider));
+        }
+        let deviations = splat_radius(self.weight);
+        if deviations == 0.0 {
+            return;
+        }
+        self.radius = wider.x * deviations;
+        self.shape =
+            self.shape.map(|shape| Shape { ratios: [wider.y / wider.x, wider.z / wider.x], ..shape });
+    }
 }
 
 impl JudgeHarmonics {
@@ -139,24 +175,30 @@ impl ReferenceField {
         Ok(Self { points, kernel, normalised, labels })
     }
 
-    /// The points that reach a ray anywhere, and so any of its samples.
+    /// The points that reach a ray anywhere, and so any of its samples, if each reaches farther by
+    /// what is said of its place.
     #[must_use]
-    pub fn near(&self, ray: &Ray) -> Self {
+    pub fn near(&self, ray: &Ray, farther: impl Fn(DVec3) -> f64) -> Self {
         let reaches = |p: &&JudgePoint| {
             let c = p.position - ray.origin;
             let across = c - ray.direction * c.dot(ray.direction);
-            across.length_squared() <= p.radius * p.radius * (1.0 + 1e-9)
+            let radius = p.radius + farther(p.position);
+            across.length_squared() <= radius * radius * (1.0 + 1e-9)
         };
         let points = self.points.iter().filter(reaches).cloned().collect();
         Self { points, labels: self.labels.clone(), ..*self }
     }
 
-    /// The same points in the colours that an eye in the cloud's space sees.
+    /// The same points in the colours that an eye in the cloud's space sees, and splats as wide as
+    /// a filter makes them for it.
     #[must_use]
-    pub fn seen_by(mut self, eye: Option<Eye>) -> Self {
+    pub fn seen(mut self, filter: SplatFilter, sight: Option<&Sight>) -> Self {
         for point in &mut self.points {
+            if let Some(sight) = sight.filter(|_| filter != SplatFilter::None) {
+                point.widen(filter, sight);
+            }
             let Some(of) = &point.harmonics else { continue };
-            let toward = eye.map(|eye| eye.toward(point.position));
+            let toward = sight.map(|sight| sight.eye.toward(point.position));
             let color = harmonics::color_toward(of.stored, &of.bytes, toward, of.degree);
             let color = if of.as_displayed { color } else { color.map(linear_from_srgb) };
             point.attributes[..3].copy_from_slice(&color);

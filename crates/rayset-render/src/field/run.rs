@@ -7,10 +7,12 @@ use super::columns::{
     AttributeColumns, CHUNK_POINTS, CHUNKS, MAP_BYTES, MAP_COLUMNS, PointColumns, chunks_of, fold,
 };
 use super::gaussian_splat;
-use super::harmonics::{self, Eye};
+use super::harmonics;
 use super::kernel::Kernel;
 use super::plates::Plates;
+use super::sight::Sight;
 use super::simd::{SimdLevel, dispatch};
+use super::splat_filter::SplatFilter;
 use crate::math::linear_from_srgb;
 use rayset_base::geometry::DVec3;
 use rayset_files::octree::format::Header;
@@ -49,6 +51,8 @@ pub struct DecodedRun {
     pub(super) may_be_wide: bool,
     /// Whether the points are splats, whose weights are their [extents](gaussian_splat::extent).
     pub(super) are_splats: bool,
+    /// Whether a filter has widened these.
+    pub(super) is_widened: bool,
     /// The longest edge of the bounds of the positions, and the largest radius.
     pub(super) size: (f64, f64),
     /// By which it is found out whether it needs double precision: see
@@ -89,13 +93,14 @@ pub struct RunDecoder {
     pub(super) root: RootCell,
     radius: Option<f32>,
     pub(super) are_splats: bool,
+    filter: SplatFilter,
     /// Normalised, if kernels are and all radii are the same.
-    weight: Option<f32>,
+    pub(super) weight: Option<f32>,
     /// 1/∫ω dV over the unit ball, if each weight has to be normalised for itself.
     pub(super) normalisation: Option<f64>,
-    columns: AttributeColumns,
+    pub(super) columns: AttributeColumns,
     /// The value of each byte of a colour.
-    color_from_byte: Box<[f32; 256]>,
+    pub(super) color_from_byte: Box<[f32; 256]>,
 }
 
 impl RunDecoder {
@@ -121,11 +126,18 @@ impl RunDecoder {
             root: header.root_cell(),
             radius,
             are_splats,
+            filter: SplatFilter::None,
             weight,
             normalisation,
             color_from_byte: Box::new(std::array::from_fn(|i| color(i as f64 / 255.0) as f32)),
             columns,
         }
+    }
+
+    /// The same, where splats are filtered for those who see them.
+    #[must_use]
+    pub fn filtered(self, filter: SplatFilter) -> Self {
+        Self { filter, ..self }
     }
 
     /// The length of which a run's coordinates must be known to a small part: its least radius, or
@@ -142,11 +154,19 @@ impl RunDecoder {
         size_of_val(&*self.color_from_byte) + self.columns.bytes()
     }
 
-    /// Decodes where a run is, for samples that are at least `step` apart, in the cloud's space.
-    pub fn place(&self, run: &Run<'_>, header: &Header, step: f64, out: &mut DecodedRun) {
+    /// Decodes where a run is, for samples that are at least `step` apart, in the cloud's space, as
+    /// is the sight of who sees it.
+    pub fn place(
+        &self,
+        run: &Run<'_>,
+        header: &Header,
+        (step, sight): (f64, Option<&Sight>),
+        out: &mut DecodedRun,
+    ) {
         let bounds = run.head.position_bounds(self.root);
         out.center = bounds.center();
-        let radius_max = f64::from(run.head.radius_max());
+        let wider = sight.map_or(0.0, |sight| self.filter.reach_in(&bounds, sight));
+        let radius_max = f64::from(run.head.radius_max()) + wider;
         let half = bounds.size() * 0.5 + radius_max;
         out.reach = half.to_array().map(|v| (v * 1.00001) as f32);
         out.reach_length = out.reach[0] + out.reach[1] + out.reach[2];
@@ -158,19 +178,21 @@ impl RunDecoder {
     }
 
     /// Decodes the points of a run whose place is known, for samples that are at least `step`
-    /// apart, in the cloud's space.
+    /// apart, in the cloud's space, as is the sight of who sees them.
     pub fn decode(
         &self,
         run: &Run<'_>,
         header: &Header,
-        (step, eye): (f64, Option<Eye>),
+        (step, sight): (f64, Option<&Sight>),
         simd: SimdLevel,
         out: &mut DecodedRun,
     ) {
-        dispatch!(simd.level(), token => self.decode_with(token, simd, run, header, step, out));
+        let asked = (step, sight);
+        dispatch!(simd.level(), token => self.decode_with(token, simd, run, header, asked, out));
         if self.columns.color && header.harmonics > 0 {
             let places = (out.center, &out.points.position);
             let as_displayed = self.columns.color_as_displayed;
+            let eye = sight.map(|sight| sight.eye);
             harmonics::fill_colors((run, header), eye, places, as_displayed, &mut out.attribute);
         }
     }
@@ -182,7 +204,7 @@ impl RunDecoder {
         level: SimdLevel,
         run: &Run<'_>,
         header: &Header,
-        step: f64,
+        (step, sight): (f64, Option<&Sight>),
         out: &mut DecodedRun,
     ) {
         let n = run.head.len();
@@ -202,15 +224,21 @@ impl RunDecoder {
             let least = stored.iter().fold(u32::MAX, |least, r| least.min(r.to_bits()));
             radius_min = f64::from(f32::from_bits(least));
         }
+        self.decode_weights(run, header, out);
+        out.points.map.clear();
+        let mut detail = f64::INFINITY;
+        if header.shape.is_some() {
+            detail = self.decode_shapes(run, header, level, out);
+        }
+        let sight = sight.filter(|_| self.are_splats && self.filter != SplatFilter::None);
+        out.is_widened = sight.is_some();
+        if let Some(sight) = sight {
+            detail = out.widen(self.filter, sight, level);
+            radius_min = f64::from(out.points.radius[..n].iter().copied().fold(f32::INFINITY, f32::min));
+        }
+        out.least_length = self.least_length(radius_min, detail);
         out.pad_last_chunk();
         let one_place = out.bound_chunks(simd);
-        self.decode_weights(run, header, out);
-        out.least_length = self.least_length(radius_min, f64::INFINITY);
-        out.points.map.clear();
-        if header.shape.is_some() {
-            let detail = self.decode_shapes(run, header, level, out);
-            out.least_length = self.least_length(radius_min, detail);
-        }
         self.decode_attributes(run, header, out);
         out.radius_min = radius_min as f32 * 0.9999;
         let is_wide = is_wide(out.size, out.least_length, step);
@@ -228,58 +256,10 @@ impl RunDecoder {
             out.set_plates(simd);
         }
     }
-
-    #[inline(always)]
-    fn decode_weights(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
-        let n = run.head.len();
-        if let Some(w) = self.weight {
-            out.points.weight[..n].fill(w);
-        } else if let Some(weights) = run.weights(header) {
-            out.points.weight.iter_mut().zip(weights).for_each(|(o, w)| *o = w);
-            if self.are_splats {
-                out.points.weight[..n].iter_mut().for_each(|w| *w = gaussian_splat::extent(*w));
-            }
-        }
-        if let Some(factor) = self.normalisation.filter(|_| header.shape.is_none()) {
-            for (w, inverse) in out.points.weight[..n].iter_mut().zip(&out.points.inverse_radius) {
-                *w = normalised_weight(*w, factor, *inverse, 1.0);
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn decode_attributes(&self, run: &Run<'_>, header: &Header, out: &mut DecodedRun) {
-        out.attribute.resize(self.columns.channels(), [0.0; RUN_POINTS]);
-        let (color, scalars) = out.attribute.split_at_mut(self.columns.first_scalar());
-        if let ([red, green, blue], Some(colors)) = (color, run.colors(header)) {
-            for (i, c) in colors.enumerate() {
-                red[i] = self.color_from_byte[usize::from(c[0])];
-                green[i] = self.color_from_byte[usize::from(c[1])];
-                blue[i] = self.color_from_byte[usize::from(c[2])];
-            }
-        }
-        for (column, &number) in scalars.iter_mut().zip(&self.columns.scalars) {
-            match number.checked_sub(header.attributes.len()) {
-                None => decode_attribute(run, header, number, column),
-                Some(axis) => {
-                    let center = out.center[axis];
-                    for (o, &offset) in column.iter_mut().zip(&out.points.position[axis]).take(run.head.len())
-                    {
-                        *o = (center + f64::from(offset)) as f32;
-                    }
-                }
-            }
-        }
-        out.label.resize(self.columns.labels.len(), [0.0; RUN_POINTS]);
-        for (column, &number) in out.label.iter_mut().zip(&self.columns.labels) {
-            decode_attribute(run, header, number, column);
-        }
-    }
 }
 
 /// A weight divided by the integral of its kernel, over an ellipsoid whose volume is a part of that
-/// of its ball, clamped so that it fits an `f32`: larger weights
-/// make no difference to a picture.
+/// of its ball, clamped so that it fits an `f32`: larger weights make no difference to a picture.
 #[inline(always)]
 pub(super) fn normalised_weight(weight: f32, factor: f64, inverse_radius: f32, volume: f32) -> f32 {
     let of_ball = f64::from(weight) * factor * f64::from(inverse_radius).powi(3);
@@ -292,15 +272,6 @@ fn is_wide((extent, radius_max): (f64, f64), radius_min: f64, step: f64) -> bool
     extent > WIDEST_IN_F32 * radius_min || extent + 2.0 * radius_max > MOST_STEPS_IN_F32 * step
 }
 
-/// Decodes a stored attribute. A value that is not finite counts as 0, so that it does not spoil
-/// its neighbours.
-#[inline(always)]
-fn decode_attribute(run: &Run<'_>, header: &Header, index: usize, column: &mut [f32; RUN_POINTS]) {
-    for (o, v) in column.iter_mut().zip(run.attribute(header, index)) {
-        *o = if v.is_finite() { v } else { 0.0 };
-    }
-}
-
 impl Default for DecodedRun {
     fn default() -> Self {
         Self {
@@ -310,6 +281,7 @@ impl Default for DecodedRun {
             reach_length: 0.0,
             may_be_wide: false,
             are_splats: false,
+            is_widened: false,
             size: (0.0, 0.0),
             least_length: 0.0,
             radius_min: 0.0,
@@ -422,7 +394,11 @@ impl DecodedRun {
         for (o, i) in wide.inverse_radius.iter_mut().zip(&self.points.inverse_radius) {
             *o = f64::from(*i);
         }
-        wide.decode_maps(run, header, &self.points.radius);
+        if self.is_widened {
+            wide.take_maps(&self.points.map, self.len);
+        } else {
+            wide.decode_maps(run, header, &self.points.radius);
+        }
         self.wide = Some(wide);
     }
 }

@@ -109,6 +109,14 @@ fn axes([a, b, c, a2, a3]: [u16; SHAPE_COLUMNS]) -> ([[f32; 3]; 3], [f32; 2]) {
 }
 
 impl WideRun {
+    /// Takes the maps of the points of a run as they are in single precision: no more than that is
+    /// known of points that were widened.
+    pub(super) fn take_maps(&mut self, map: &[[f32; RUN_POINTS]], len: usize) {
+        self.map.clear();
+        let Some(map) = map.first_chunk::<MAP_COLUMNS>() else { return };
+        self.map.extend((0..len).map(|i| map.each_ref().map(|column| f64::from(column[i]))));
+    }
+
     /// Decodes the maps of the points of a run in double precision, of points with these radii.
     pub(super) fn decode_maps(&mut self, run: &Run<'_>, header: &Header, radii: &[f32; RUN_POINTS]) {
         self.map.clear();

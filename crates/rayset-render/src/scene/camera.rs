@@ -1,6 +1,6 @@
 //! Cameras: where rays start and in which direction they go.
 
-use crate::field::Eye;
+use crate::field::{Eye, Sight};
 use rayset_base::geometry::{Aabb, DVec3, Ray};
 
 /// How points of the image plane are mapped to rays.
@@ -190,12 +190,20 @@ impl RayMaker {
         }
     }
 
-    /// From where the picture is seen.
-    pub(crate) fn eye(&self) -> Eye {
-        match self.camera.projection {
+    /// How the picture is seen.
+    pub(crate) fn sight(&self) -> Sight {
+        let eye = match self.camera.projection {
             Projection::Perspective { .. } => Eye::At(self.camera.position),
             Projection::Orthographic { .. } => Eye::Along(self.forward),
-        }
+        };
+        let corner = self.ray(0.0, 0.0).direction;
+        let (forward, pixel) = (self.forward, self.pixel());
+        Sight { eye, forward, pixel, corner_cosine: corner.dot(forward) }
+    }
+
+    /// Edge of a pixel: of a perspective at the distance 1 in front of the eye.
+    fn pixel(&self) -> f64 {
+        2.0 * self.half_height / self.size[1]
     }
 
     /// Projects a position to the picture, in pixels from its upper left corner; `None` if it is
@@ -219,7 +227,7 @@ impl RayMaker {
 
     /// How wide a pixel is along one of its rays.
     pub(crate) fn footprint(&self, ray: &Ray) -> Footprint {
-        let pixel = (2.0 * self.half_height / self.size[1]) as f32;
+        let pixel = self.pixel() as f32;
         match self.camera.projection {
             // On a plane in front of the eye all pixels are alike; the plane is nearer than the
             // distance says.

@@ -22,7 +22,7 @@ use std::sync::Arc;
 use super::error::{MOST_ATTRIBUTES, SceneError};
 use super::transfer::{ColorMap, ColorRule, MapInput, OpacityRule, TransferError, TransferFunction};
 use super::{BRIGHTEST, Material, Procedural, check_transform};
-use crate::field::Kernel;
+use crate::field::{Kernel, SplatFilter};
 use rayset_base::geometry::{Aabb, DAffine3, DVec3};
 use rayset_files::grid::Grid;
 use rayset_files::octree::Cloud;
@@ -93,6 +93,10 @@ pub struct CloudObject {
     pub cloud: Arc<Cloud>,
     /// The radial basis function.
     pub kernel: Kernel,
+    /// Of splats, how they are kept from being seen smaller than a pixel. What is filtered depends
+    /// on the picture's pixels: at more of them, splats are narrower. Shadows are those of splats
+    /// without a filter.
+    pub splat_filter: SplatFilter,
     /// Whether kernels are normalised to integrate to one, so that weight = mass (or
     /// mass·value/density) as in SPH.
     pub normalised: bool,
@@ -107,7 +111,8 @@ impl CloudObject {
     pub fn plain(cloud: Arc<Cloud>) -> Self {
         let color = if cloud.header().has_color { ColorRule::Points } else { ColorRule::Uniform([1.0; 3]) };
         let transfer = TransferFunction { opacity: OpacityRule::Clamp, color };
-        Self { cloud, kernel: Kernel::default(), normalised: false, transfer }
+        let (kernel, splat_filter) = (Kernel::default(), SplatFilter::None);
+        Self { cloud, kernel, splat_filter, normalised: false, transfer }
     }
 
     /// Density at the centre of a single point that has the largest weight and, if kernels are
@@ -153,6 +158,9 @@ impl CloudObject {
         let absorbs = matches!(self.transfer.opacity, OpacityRule::Extinction(_));
         if self.kernel == Kernel::Splat && (self.normalised || !absorbs) {
             return Err(TransferError::Splats.into());
+        }
+        if self.kernel != Kernel::Splat && self.splat_filter != SplatFilter::None {
+            return Err(TransferError::Filter.into());
         }
         match &self.transfer.color {
             ColorRule::Points if !header.has_color => Err(TransferError::Missing("colours").into()),

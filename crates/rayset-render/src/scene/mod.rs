@@ -20,7 +20,7 @@ mod transform;
 
 use std::sync::Arc;
 
-pub use crate::field::Kernel;
+pub use crate::field::{Kernel, SplatFilter};
 use rayset_base::geometry::Aabb;
 use rayset_base::setters;
 

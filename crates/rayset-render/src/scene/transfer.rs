@@ -179,6 +179,9 @@ pub enum TransferError {
     /// Splats have another opacity rule, or are normalised.
     #[error("the kernel `splat` needs the opacity rule `extinction`, and weights that are not normalised")]
     Splats,
+    /// What does not have the kernel `splat` has a filter of splats.
+    #[error("a splat filter needs the kernel `splat`")]
+    Filter,
     /// The cloud has no such column.
     #[error("the cloud stores no {0}")]
     Missing(&'static str),

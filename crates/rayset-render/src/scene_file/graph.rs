@@ -7,7 +7,7 @@ use super::data_files::DataFiles;
 use super::error::SceneFileError;
 use super::reader::{Cursor, Object, listed, nearest, shortened};
 use super::transfers::{pattern, read_transfer_function, read_value_transfer, transfers};
-use crate::field::Kernel;
+use crate::field::{Kernel, SplatFilter};
 use crate::scene::{
     CloudObject, FARTHEST, Form, GridObject, MOST_PLACES, Material, Node, NoiseCloud, Operator, Procedural,
     SHORTEST, Shape, Solid, check_transform,
@@ -198,7 +198,14 @@ impl<'a> GraphReader<'a> {
         let with = |more: &[&str]| at.object(&[&COMMON[..], more].concat());
         let (object, shape) = match any.require("type")?.one_of(&types)? {
             Type::Cloud => {
-                let object = with(&["file", "kernel", "normalised", "radiusScale", "transferFunction"])?;
+                let object = with(&[
+                    "file",
+                    "kernel",
+                    "splatFilter",
+                    "normalised",
+                    "radiusScale",
+                    "transferFunction",
+                ])?;
                 let cloud = self.cloud(&object)?;
                 (object, Shape::Cloud(cloud))
             }
@@ -265,6 +272,9 @@ impl<'a> GraphReader<'a> {
         let kernels: Vec<(&str, Kernel)> =
             Kernel::ALL.iter().map(|kernel| (kernel.name(), *kernel)).collect();
         made.kernel = object.read_or("kernel", made.kernel, |at| at.one_of(&kernels))?;
+        let filters: Vec<(&str, SplatFilter)> =
+            SplatFilter::ALL.iter().map(|filter| (filter.name(), *filter)).collect();
+        made.splat_filter = object.read_or("splatFilter", made.splat_filter, |at| at.one_of(&filters))?;
         made.normalised = object.read_or("normalised", false, Cursor::boolean)?;
         if let Some(at) = object.get("transferFunction") {
             read_transfer_function(&at, &mut made)?;

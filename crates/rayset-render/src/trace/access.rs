@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::RenderError;
-use crate::field::Eye;
+use crate::field::Sight;
 use rayset_store::working_set::{Object, PageClient, PageGuard, Reuse};
 
 /// A page that a tile waits for.
@@ -89,13 +89,19 @@ pub(super) struct Access<'a> {
     pub(super) foreseen: &'a Foreseen,
     /// Bytes of the pages requested so far.
     pub(super) asked_bytes: &'a Cell<u64>,
-    /// From where the picture is seen, world space; `None` if nothing is shown.
-    pub(super) eye: Option<Eye>,
+    /// How the picture is seen, world space; `None` of what is not shown, as shadows are not: they
+    /// are the same from everywhere.
+    pub(super) sight: Option<Sight>,
     /// What this thread knows about when pages are used again.
     pub(super) reuse: &'a RefCell<Reuse>,
 }
 
 impl Access<'_> {
+    /// The same for what is not shown.
+    pub(super) fn unseen(self) -> Self {
+        Self { sight: None, ..self }
+    }
+
     /// Ends the attempt if the render is cancelled.
     pub(super) fn check(&self) -> Result<(), Halt> {
         if self.pages.cancel_token().is_cancelled() {

@@ -7,7 +7,7 @@ use super::grid::{GridMarch, GridRequest, GridScratch, GridVolume};
 use super::node_samples::{Live, Measure, NodeSamples};
 use super::procedural::{ProceduralMarch, ProceduralRequest, ProceduralVolume};
 use super::program::{Action, Instruction, Program};
-use crate::field::{LANES, Packet, Slab};
+use crate::field::{LANES, Packet, Sight, Slab};
 use crate::scene::Operator;
 
 /// Most procedural fields of which it is remembered where a packet is in them. Of further ones it
@@ -132,11 +132,14 @@ impl<'p> GraphSamples<'p> {
         self.spare.push(node);
     }
 
-    /// Starts a packet.
-    pub(super) fn begin(&mut self, packet: &Packet) {
+    /// Starts a packet, of which those see something who have a sight.
+    pub(super) fn begin(&mut self, packet: &Packet, sight: Option<&Sight>) {
         let beam = packet.beam(packet.all());
-        for (span, instruction) in self.spans.iter_mut().zip(&self.program.instructions) {
-            let bounds = &instruction.bounds;
+        let instructions = &self.program.instructions;
+        // Boxes of operators hold those of their operands: all are enlarged together.
+        let reach = instructions.iter().map(|instruction| instruction.reach_world(sight)).fold(0.0, f64::max);
+        for (span, instruction) in self.spans.iter_mut().zip(instructions) {
+            let bounds = &instruction.bounds_as_seen(reach);
             *span = if bounds.is_empty() { None } else { packet.ticks_in(&beam, bounds) };
         }
         self.clouds.iter_mut().for_each(|(_, begun)| *begun = false);

@@ -89,7 +89,7 @@ impl<'p> March<'p> {
         let packet = Packet::new(rays, self.steps.tick_world());
         self.going = packet.all();
         self.reached.fill(0);
-        self.graph.begin(&packet);
+        self.graph.begin(&packet, access.sight.as_ref());
         self.details.begin(&packet, self.graph.spans());
         let node = self.graph.node_samples();
         let mut course = Course { access, packet, visitor, node };

@@ -88,7 +88,7 @@ impl<'a> PacketTracer<'a> {
         done: impl FnMut(usize, [[f32; 4]; LANES]),
     ) -> Result<(), Halt> {
         let mut tree = std::mem::take(&mut self.tree);
-        let access = Access { eye: Some(self.rays.eye()), ..access };
+        let access = Access { sight: Some(self.rays.sight()), ..access };
         let outcome = self.sheets(access, &mut tree, sheets, make, done);
         self.tree = tree;
         outcome

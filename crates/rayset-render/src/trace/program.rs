@@ -14,7 +14,7 @@ use super::procedural::ProceduralVolume;
 use super::transfer::CompiledTransfer;
 use super::unopened::Unopened;
 use super::{RenderError, SettingError};
-use crate::field::SimdLevel;
+use crate::field::{Sight, SimdLevel};
 use crate::scene::{Node, Operator, RenderSettings};
 use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::{Aabb, Ray};
@@ -49,6 +49,21 @@ pub(super) struct Instruction<P = Arc<Object>> {
     pub(super) uses: u32,
     /// The colour of all samples, if it is the same; linear light.
     pub(super) color: Option<[f32; 3]>,
+}
+
+impl Instruction {
+    /// How much farther splats of its own reach for those who see them; world space.
+    pub(super) fn reach_world(&self, sight: Option<&Sight>) -> f64 {
+        if let Action::Cloud(volume) = &self.action { volume.placement.reach_world(sight) } else { 0.0 }
+    }
+
+    /// Nothing outside of these is evaluated where splats of the program reach so much farther.
+    pub(super) fn bounds_as_seen(&self, reach: f64) -> Aabb {
+        match &self.action {
+            Action::Cloud(_) | Action::Operator(..) if !self.bounds.is_empty() => self.bounds.inflated(reach),
+            _ => self.bounds,
+        }
+    }
 }
 
 /// What a program computes of a scene.

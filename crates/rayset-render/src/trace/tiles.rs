@@ -153,7 +153,7 @@ impl<'a> TileQueue<'a> {
             foresees: if waits { None } else { deferral.policy.reach(deferred.attempts) },
             foreseen: self.foreseen,
             asked_bytes: self.asked_bytes,
-            eye: None,
+            sight: None,
             reuse: self.reuse,
         };
         Attempt { place: deferred.place, access, number: deferred.attempts + 1 }

@@ -66,6 +66,7 @@ mod shadows;
 mod skips;
 mod snapshots;
 mod splat_colors;
+mod splat_filters;
 mod splat_light;
 mod splats;
 mod steps;

@@ -67,7 +67,7 @@ pub(crate) fn check_field(cloud: &Cloud, unit: f64, kernel: Kernel, simd: SimdLe
             .expect("the cloud reads");
         counts += splatter.splat(&mut batch, &packet, slab, packet.all(), None, &mut samples);
         for (lane, (ray, _)) in rays.iter().enumerate().filter(|(l, _)| samples.touched >> l & 1 != 0) {
-            let near = reference_renderer.near(ray);
+            let near = reference_renderer.near(ray, |_| 0.0);
             for j in (0..SLAB_SAMPLES).step_by(3) {
                 let q = ray.at(packet.sample_t(lane, slab.first + j as u64));
                 let exact = near.sample(q);

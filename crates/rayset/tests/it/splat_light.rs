@@ -22,12 +22,12 @@ use crate::right_picture::count_wrong_pixels;
 use crate::steps_by_place;
 
 /// A splat: centre, deviations, rotation, opacity.
-type Splat = (DVec3, DVec3, DQuat, f64);
+pub(crate) type Splat = (DVec3, DVec3, DQuat, f64);
 
 /// Splats absorb nothing where they would absorb less than one part in so many.
-const CUT: f64 = 512.0;
+pub(crate) const CUT: f64 = 512.0;
 
-fn splats(count: usize, size: f64, most_opaque: f64, seed: u64) -> Vec<Splat> {
+pub(crate) fn splats(count: usize, size: f64, most_opaque: f64, seed: u64) -> Vec<Splat> {
     let mut random = Random(seed);
     let mut number = |low: f64, high: f64| low + (high - low) * random.unit();
     (0..count)
@@ -40,7 +40,7 @@ fn splats(count: usize, size: f64, most_opaque: f64, seed: u64) -> Vec<Splat> {
         .collect()
 }
 
-fn built(splats: &[Splat]) -> Arc<Cloud> {
+pub(crate) fn built(splats: &[Splat]) -> Arc<Cloud> {
     let column = |of: &dyn Fn(&Splat) -> f64| splats.iter().map(|s| of(s) as f32).collect::<Vec<_>>();
     let radius = |s: &Splat| (2.0 * (CUT * s.3).ln()).sqrt();
     let columns = vec![
@@ -64,7 +64,7 @@ fn built(splats: &[Splat]) -> Arc<Cloud> {
     Arc::new(cloud)
 }
 
-fn object(cloud: &Arc<Cloud>) -> CloudObject {
+pub(crate) fn object(cloud: &Arc<Cloud>) -> CloudObject {
     let mut object = look(cloud, Kernel::Splat);
     object.transfer.opacity = OpacityRule::Extinction(1.0);
     object

@@ -128,7 +128,10 @@ impl CompressedPlyReader {
         let harmonics = harmonics.transpose()?;
         let degree = harmonics::degree(harmonics.as_ref().map_or(0, |(_, per_channel)| *per_channel));
         let what = format!("compressed {}", header.description);
-        let schema = gaussian::schema(&what, ColorDepth::Unit, degree, UP);
+        let mut schema = gaussian::schema(&what, ColorDepth::Unit, degree, UP);
+        if gaussian::is_antialiased(&what) {
+            gaussian::say_antialiased(&mut schema);
+        }
         let own = schema.columns.len();
         let reader = Self { chunks, vertices, harmonics, rest: harmonics::rest(degree), own };
         Ok(FileSource::new(path, schema, Some(vertex.count), reader))

@@ -155,6 +155,24 @@ pub(super) fn schema(what: &str, depth: ColorDepth, degree: u8, up: DVec3) -> Sc
     schema
 }
 
+/// Says that a file's splats were trained with the mip filter.
+pub(super) fn say_antialiased(schema: &mut Schema) {
+    schema.description.push_str(ANTIALIASED);
+}
+
+/// What is said of files whose splats were trained with the mip filter.
+const ANTIALIASED: &str = ", antialiased";
+
+/// Whether a PLY file says in a comment that its splats were trained with the mip filter:
+/// `SplatRenderMode: mip` (Brush, gsplat, splat-transform; the last counts) or `antialiased 1`
+/// (Postshot).
+pub(super) fn is_antialiased(comments: &str) -> bool {
+    let comments = comments.to_ascii_lowercase();
+    let mode = comments.split("; ").filter_map(|comment| comment.strip_prefix("splatrendermode:")).last();
+    let mode = mode.map(|mode| mode.trim() == "mip");
+    mode.unwrap_or_else(|| comments.split("; ").any(|comment| comment == "antialiased 1"))
+}
+
 /// Whether every splat file has a column of this name.
 pub(super) fn has(name: &str) -> bool {
     NAMES.contains(&name)
@@ -184,6 +202,25 @@ mod tests {
         let disc = of([2.0, 0.0, 3.0]).mean_deviation();
         assert!((disc * disc / (0.5 * 2.0 * 3.0) - 1.0).abs() < 0.011, "{disc}");
         assert_eq!([of([0.0; 3]).value(16), of([f64::INFINITY, 1.0, 1.0]).value(16)], [0.0, f64::INFINITY]);
+    }
+
+    #[test]
+    fn comments_say_which_filter_splats_were_trained_with() {
+        for mip in [
+            "binary_little_endian 1.0; Exported from Brush; SplatRenderMode: mip",
+            "a; splatrendermode: default; SplatRenderMode: MIP",
+            "ascii 1.0; antialiased 1",
+        ] {
+            assert!(is_antialiased(mip), "{mip}");
+        }
+        for other in [
+            "",
+            "a; SplatRenderMode: mip; SplatRenderMode: default",
+            "a; antialiased 0",
+            "a; not antialiased 1",
+        ] {
+            assert!(!is_antialiased(other), "{other}");
+        }
     }
 
     #[test]

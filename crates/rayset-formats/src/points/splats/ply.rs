@@ -77,6 +77,9 @@ impl GaussianPlyReader {
         let what = file.schema().description.clone();
         let up = file.schema().up.unwrap_or(UP);
         let mut schema = gaussian::schema(&what, ColorDepth::Unit, degree, up);
+        if gaussian::is_antialiased(&what) {
+            gaussian::say_antialiased(&mut schema);
+        }
         if per_channel + 1 > coefficients(degree) {
             schema.warnings = vec![harmonics::left_out(degree)];
         }

@@ -91,6 +91,9 @@ impl SpzReader {
         let what = format!("SPZ {}", header.version);
         let degree = harmonics::degree(header.coefficients());
         let mut schema = gaussian::schema(&what, ColorDepth::Unit, degree, UP);
+        if header.is_antialiased {
+            gaussian::say_antialiased(&mut schema);
+        }
         if header.coefficients() + 1 > coefficients(degree) {
             schema.warnings = vec![harmonics::left_out(degree)];
         }

@@ -20,6 +20,8 @@ const STREAMS_HEADER_BYTES: u64 = 32;
 /// Bytes of an entry of the table of contents of version 4: packed and unpacked size.
 const ENTRY_BYTES: usize = 16;
 const NEWEST: u32 = 4;
+/// The flag of splats that were trained with the mip filter.
+const ANTIALIASED: u8 = 1;
 
 /// The header, checked.
 #[derive(Clone, Copy, Debug)]
@@ -30,6 +32,8 @@ pub(super) struct SpzHeader {
     harmonics: u64,
     /// Coordinates are in units of two to minus this; `None` if they are in half precision.
     pub(super) fractional_bits: Option<u8>,
+    /// Whether its splats were trained with the mip filter.
+    pub(super) is_antialiased: bool,
     streams: u8,
 }
 
@@ -69,6 +73,7 @@ impl SpzHeader {
             count: word(&bytes[8..12]).into(),
             harmonics: 3 * harmonics,
             fractional_bits: (version > 1).then_some(bits),
+            is_antialiased: bytes[14] & ANTIALIASED != 0,
             streams: bytes[15],
         })
     }

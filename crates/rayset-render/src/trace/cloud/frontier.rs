@@ -9,7 +9,7 @@ use std::ops::Range;
 use super::live_rays::LiveRays;
 use super::nodes::{NodesInMemory, RetainedNodes};
 use super::placement::CloudPlacement;
-use crate::field::{Packet, SLAB_SAMPLES, Slab};
+use crate::field::{Packet, SLAB_SAMPLES, Sight, Slab};
 use crate::trace::access::{Access, Halt};
 use rayset_base::geometry::{Aabb, Ray};
 use rayset_base::nearest_first::NearestFirst;
@@ -86,11 +86,23 @@ pub(super) struct PacketInCloud<'a> {
     /// In the cloud's space.
     pub(super) packet: &'a Packet,
     pub(super) rays: &'a LiveRays,
+    /// In the cloud's space.
+    pub(super) sight: Option<&'a Sight>,
 }
 
 impl<'a> PacketInCloud<'a> {
     fn nodes(&self) -> RetainedNodes<'a> {
         RetainedNodes { access: self.access, cloud: self.cloud }
+    }
+
+    /// Bounds of influence of a node.
+    fn bounds(&self, node: &Node) -> Aabb {
+        self.cloud.as_seen(node.bounds(self.cloud.root_cell), self.sight)
+    }
+
+    /// Bounds of influence of a run.
+    pub(super) fn run_bounds(&self, points: &PointPage<'_>, run: usize) -> Aabb {
+        self.cloud.as_seen(run_bounds(self.cloud, points, run), self.sight)
     }
 }
 
@@ -143,12 +155,12 @@ impl Frontier {
     /// Called when a page of a node is absent: requests, in one batch, all pages that this slab and
     /// the next `slabs_on_a_miss` slabs will open.
     fn request_ahead(&self, place: PacketInCloud<'_>, node: &Node, slab: Slab) {
-        let PacketInCloud { access, cloud, packet, rays } = place;
+        let PacketInCloud { access, cloud, packet, rays, .. } = place;
         let until = slab.end_tick() + ((access.slabs_on_a_miss * SLAB_SAMPLES as u64) << slab.level);
         let mut pages: Vec<u32> = cloud.pages_to_open(node).collect();
         for (_, entry) in self.heap.iter().filter(|(first, _)| *first < until) {
             if let Item::Node(node) = &entry.item
-                && rays.ticks_in(packet, &node.bounds(cloud.root_cell)).is_some()
+                && rays.ticks_in(packet, &place.bounds(node)).is_some()
             {
                 pages.extend(cloud.pages_to_open(node));
             }
@@ -194,11 +206,11 @@ impl<'t> Opening<'t> {
     /// Examines the bounds of a node's own runs. This needs their pages, which are soon needed
     /// again for the points.
     fn open_own(&mut self, node: &Node, walk: &mut Walk) -> Result<(), Halt> {
-        let PacketInCloud { access, cloud, packet, rays } = self.place;
+        let PacketInCloud { access, cloud, packet, rays, .. } = self.place;
         if !walk.may_look_at_runs_of(node, cloud.header()) {
             return Err(cloud.broken(node.own.first_page).into());
         }
-        let node_bounds = &node.bounds(cloud.root_cell);
+        let node_bounds = &self.place.bounds(node);
         each_own_page(access, cloud, node, |page, points, range| {
             if node.own.runs > MOST_SINGLE_RUNS {
                 let (first, last) = rays.ticks_in(packet, node_bounds).unwrap_or((0, 0));
@@ -207,7 +219,7 @@ impl<'t> Opening<'t> {
                 return;
             }
             for index in range {
-                let bounds = run_bounds(cloud, points, index);
+                let bounds = self.place.run_bounds(points, index);
                 let Some((first, last)) = rays.ticks_in(packet, &bounds) else { continue };
                 let item = Item::Runs(Runs { page, first: index as u16, end: index as u16 + 1 });
                 if (last - first) >> self.slab.level <= MOST_SAMPLES_AT_ONCE {
@@ -226,8 +238,8 @@ impl<'t> Opening<'t> {
 
 impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
     fn meet(&mut self, node: Node) {
-        let PacketInCloud { cloud, packet, rays, .. } = self.place;
-        if let Some((first, last)) = rays.ticks_in(packet, &node.bounds(cloud.root_cell)) {
+        let PacketInCloud { packet, rays, .. } = self.place;
+        if let Some((first, last)) = rays.ticks_in(packet, &self.place.bounds(&node)) {
             self.heap.push(first, Ahead { last, item: Item::Node(node) });
         }
     }
@@ -250,8 +262,8 @@ impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
     }
 
     fn visit(&mut self, node: &Node, walk: &mut Walk, _: &mut RetainedNodes<'t>) -> Result<Visit, Halt> {
-        let PacketInCloud { cloud, packet, rays, .. } = self.place;
-        let bounds = node.bounds(cloud.root_cell);
+        let PacketInCloud { packet, rays, .. } = self.place;
+        let bounds = self.place.bounds(node);
         // Rays that met it may have ended since.
         let Some(range) = rays.ticks_in(packet, &bounds) else { return Ok(Visit::Skip) };
         if rays.misses_now(packet, &bounds, range) {
@@ -334,7 +346,7 @@ fn ranges_of_points(
     run: usize,
     level: u32,
 ) -> Option<Vec<(u64, u64)>> {
-    let PacketInCloud { cloud, packet, rays, .. } = place;
+    let PacketInCloud { cloud, packet, rays, sight, .. } = place;
     let run = points.run(run);
     let mut radii = [cloud.header().radius.min(); RUN_POINTS];
     if let Some(stored) = run.radii(cloud.header()) {
@@ -346,7 +358,8 @@ fn ranges_of_points(
             // Far larger than the rounding error when a point is added to samples.
             let reach = f64::from(radius) * (1.0 + 1e-4);
             // Between the rays of a packet there may be any number of points that no ray meets.
-            rays.ticks_of_each(packet, &Aabb::new(position - reach, position + reach))
+            let bounds = cloud.as_seen(Aabb::new(position - reach, position + reach), sight);
+            rays.ticks_of_each(packet, &bounds)
         })
         .collect();
     ranges.sort_unstable();

@@ -1,12 +1,12 @@
 //! The march of one packet through one cloud, slab by slab.
 
-use super::frontier::{ActiveRuns, Frontier, PacketInCloud, Runs, run_bounds};
+use super::frontier::{ActiveRuns, Frontier, PacketInCloud, Runs};
 use super::live_rays::{LiveRays, bits_between};
 use super::shading::CloudShading;
 use super::volume::CloudVolume;
 use crate::field::{
     Appended, BATCH_BYTES, FieldSamples, KEPT_BYTES, LANES, Packet, RayEnds, RunBatch, RunKey, SampleRow,
-    SimdLevel, Slab, Splatter,
+    Sight, SimdLevel, Slab, Splatter,
 };
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
@@ -22,6 +22,8 @@ const AHEAD_BYTES: usize = 24 << 10;
 pub(in crate::trace) struct CloudMarch {
     /// In the cloud's space.
     packet: Packet,
+    /// In the cloud's space.
+    sight: Option<Sight>,
     frontier: Frontier,
     active: Vec<ActiveRuns>,
     /// `None` until a packet has begun.
@@ -112,7 +114,8 @@ impl CloudMarch {
 
     /// Allocates a march for any packet; [`begin`](Self::begin) must be called first.
     pub(in crate::trace) fn new(packet: &Packet) -> Self {
-        Self { packet: packet.clone(), frontier: Frontier::default(), active: Vec::new(), rays: None }
+        let packet = packet.clone();
+        Self { packet, sight: None, frontier: Frontier::default(), active: Vec::new(), rays: None }
     }
 
     /// Starts a packet at the root of a cloud.
@@ -127,7 +130,9 @@ impl CloudMarch {
         self.active.clear();
         let rays = LiveRays::new(&self.packet, simd);
         let cloud = &volume.placement;
-        self.frontier.begin(PacketInCloud { access, cloud, packet: &self.packet, rays: &rays })?;
+        self.sight = cloud.local_sight(access.sight.as_ref());
+        let (packet, sight) = (&self.packet, self.sight.as_ref());
+        self.frontier.begin(PacketInCloud { access, cloud, packet, rays: &rays, sight })?;
         self.rays = Some(rays);
         Ok(())
     }
@@ -156,7 +161,8 @@ impl CloudMarch {
         self.packet.set_level(slab.level);
         let (waiting, since) = waiting;
         rays.become_rays(&self.packet, slab, live, (going, waiting));
-        let place = PacketInCloud { access, cloud: &volume.placement, packet: &self.packet, rays };
+        let (cloud, packet, sight) = (&volume.placement, &self.packet, self.sight.as_ref());
+        let place = PacketInCloud { access, cloud, packet, rays, sight };
         self.frontier.advance(place, slab, since, &mut self.active)?;
         if access.follows_lines {
             self.frontier.precache(place);
@@ -174,7 +180,7 @@ impl CloudMarch {
         let field = &mut scratch.fields[at];
         field.clear();
         let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
-        scratch.batch.set_eye(volume.placement.local_eye(access.eye));
+        scratch.batch.set_sight(self.sight);
         self.gather(volume, request, lanes, &splatter, &mut scratch.batch, counts, field)?;
         // Opacities are no depths: where a ray ends is not found by adding them.
         let ends = request.ends.filter(|_| measure == Measure::OpticalDepth).map(|ends| &ends.depth);
@@ -198,7 +204,8 @@ impl CloudMarch {
         let Some(rays) = &self.rays else { return Ok(()) };
         let CloudVolume { placement: cloud, shading } = volume;
         self.active.sort_unstable();
-        let slab = request.slab;
+        let (slab, sight) = (request.slab, self.sight.as_ref());
+        let place = PacketInCloud { access: request.access, cloud, packet: &self.packet, rays, sight };
         batch.clear();
         let live = request.live.0.iter().fold(0, |samples, lane| samples | lane);
         let matters = |runs: &ActiveRuns| {
@@ -226,7 +233,7 @@ impl CloudMarch {
                 // A single run has been examined before, for all rays.
                 let is_examined = end - first == 1 && !rays.some_wait();
                 for index in usize::from(first)..usize::from(end) {
-                    if !is_examined && !rays.reach(&self.packet, &run_bounds(cloud, &points, index), slab) {
+                    if !is_examined && !rays.reach(&self.packet, &place.run_bounds(&points, index), slab) {
                         continue;
                     }
                     let of = (&shading.decoder, &points.run(index), cloud.header());

@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::field::{Eye, Kernel, Packet};
+use crate::field::{Kernel, Packet, Sight, SplatFilter};
 use crate::scene::{CloudObject, largest_stretch};
 use crate::trace::RenderError;
 use crate::trace::access::{Access, Halt};
@@ -31,6 +31,7 @@ pub(in crate::trace) struct CloudPlacement<P = Arc<Object>> {
     /// Least and largest length, in local space, of which steps are a fraction.
     pub(in crate::trace) details: (f32, f32),
     pub(in crate::trace) are_splats: bool,
+    filter: SplatFilter,
 }
 
 impl CloudPlacement<Unopened> {
@@ -46,6 +47,7 @@ impl CloudPlacement<Unopened> {
             least_stretch: 1.0 / largest_stretch(world_from_local),
             details: object.details(),
             are_splats: object.kernel == Kernel::Splat,
+            filter: object.splat_filter,
             cloud: cloud.clone(),
         }
     }
@@ -53,7 +55,8 @@ impl CloudPlacement<Unopened> {
     /// With the pages of the cloud in a working set; `None` if they are in none.
     pub(super) fn open(self, paged: &PagedFiles) -> Option<CloudPlacement> {
         let Self { cloud, root_cell, first_node_page, local_from_world, details, are_splats, .. } = self;
-        let (world_from_local, least_stretch) = (self.world_from_local, self.least_stretch);
+        let (world_from_local, least_stretch, filter) =
+            (self.world_from_local, self.least_stretch, self.filter);
         let pages = paged.find(&cloud)?.clone();
         Some(CloudPlacement {
             cloud,
@@ -65,6 +68,7 @@ impl CloudPlacement<Unopened> {
             least_stretch,
             details,
             are_splats,
+            filter,
         })
     }
 }
@@ -100,9 +104,26 @@ impl CloudPlacement {
         })
     }
 
-    /// An eye in local space.
-    pub(in crate::trace) fn local_eye(&self, eye: Option<Eye>) -> Option<Eye> {
-        eye.map(|eye| self.local_from_world.as_ref().map_or(eye, |map| eye.transformed(map)))
+    /// How the cloud is seen, in local space.
+    pub(in crate::trace) fn local_sight(&self, sight: Option<&Sight>) -> Option<Sight> {
+        sight.map(|sight| self.local_from_world.as_ref().map_or(*sight, |map| sight.transformed(map)))
+    }
+
+    /// How much farther any of its points reaches for those who see it; world space.
+    pub(in crate::trace) fn reach_world(&self, sight: Option<&Sight>) -> f64 {
+        let local = self.local_sight(sight).filter(|_| self.filter != SplatFilter::None);
+        let reach = local.map_or(0.0, |sight| self.filter.reach_in(&self.header().bounds, &sight));
+        reach / self.least_stretch
+    }
+
+    /// A box in which points are, as far as they reach for those who see them; local space.
+    pub(in crate::trace) fn as_seen(&self, bounds: Aabb, sight: Option<&Sight>) -> Aabb {
+        match sight {
+            Some(sight) if self.filter != SplatFilter::None => {
+                bounds.inflated(self.filter.reach_in(&bounds, sight))
+            }
+            _ => bounds,
+        }
     }
 
     /// Length in local space of a unit of world space along a direction.

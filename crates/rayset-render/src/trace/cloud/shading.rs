@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::least_absorption::least_absorption;
 use crate::field::{
     AttributeColumns, Channels, FieldSamples, Kernel, LANES, LeastAbsorption, RunDecoder, SLAB_SAMPLES,
-    SampleRow, SimdLevel, dispatch,
+    SampleRow, SimdLevel, SplatFilter, dispatch,
 };
 use crate::math::{absorbed, ln};
 use crate::scene::{CloudObject, ColorRule, Compositing, MAX_OPACITY, MapInput, OpacityRule, Scene};
@@ -57,6 +57,7 @@ pub(in crate::trace) struct CloudShading {
     pub(super) least_absorption: Option<LeastAbsorption>,
     pub(in crate::trace) unit_distance: f64,
     pub(in crate::trace) material: [f32; MATERIAL],
+    filter: SplatFilter,
     pub(in crate::trace) decoder: RunDecoder,
     /// What the cloud's field carries. The colour, or the attribute it is mapped from, comes first.
     columns: AttributeColumns,
@@ -117,7 +118,9 @@ impl CloudShading {
             least_absorption: least_absorption(&object.transfer.opacity, unit_distance),
             unit_distance,
             material,
-            decoder: RunDecoder::new(header, object.kernel, object.normalised, AttributeColumns::default()),
+            filter: object.splat_filter,
+            decoder: RunDecoder::new(header, object.kernel, object.normalised, AttributeColumns::default())
+                .filtered(object.splat_filter),
             columns: AttributeColumns::default(),
             compositing: scene.compositing,
             named: Vec::new(),
@@ -150,7 +153,8 @@ impl CloudShading {
                 self.named[number] = Some(Carried::new(header, attribute, &mut columns));
             }
         }
-        self.decoder = RunDecoder::new(header, self.kernel, self.normalised, columns.clone());
+        self.decoder =
+            RunDecoder::new(header, self.kernel, self.normalised, columns.clone()).filtered(self.filter);
         self.columns = columns;
     }
 

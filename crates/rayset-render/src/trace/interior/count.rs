@@ -131,7 +131,7 @@ impl Counting {
             foresees: None,
             foreseen: &foreseen,
             asked_bytes: &asked_bytes,
-            eye: None,
+            sight: None,
             reuse: &reuse,
         };
         let mut outcome = Ok(());

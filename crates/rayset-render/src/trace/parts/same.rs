@@ -175,6 +175,7 @@ fn write_node(
             let header = object.cloud.header();
             write!(text, "cloud {} {:?} ", header.identity, header.radius_scale)?;
             write!(text, "{:?} {:?} {:?}", object.kernel, object.normalised, object.transfer)?;
+            write!(text, " {}", object.splat_filter)?;
         }
         Shape::Grid(object) => {
             let header = object.grid.header();

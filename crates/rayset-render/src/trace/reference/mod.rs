@@ -16,13 +16,13 @@ use std::sync::Arc;
 use self::sample::{Sample, combine};
 use self::shared::SharedShadows;
 use crate::field::reference::{ReferenceField, ReferenceSample};
-use crate::field::{AttributeColumns, Eye, Kernel, linear_from_srgb};
+use crate::field::{AttributeColumns, Kernel, Sight, linear_from_srgb};
 use crate::scene::{
     Camera, CameraError, Channel, CloudObject, ColorRule, Compositing, GridObject, LightKind, Lighting,
     MAX_OPACITY, MOST_ATTRIBUTES, MapInput, Material, Node, OpacityRule, Operator, Procedural,
     RenderSettings, Scene, Shape, Transfer,
 };
-use rayset_base::geometry::{DAffine3, DMat3, DVec3, Ray};
+use rayset_base::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use rayset_store::container::ScanError;
 
 pub use self::steps::ReferenceSteps;
@@ -240,7 +240,7 @@ impl<'a> ReferenceRenderer<'a> {
         node: &'s Arc<Node>,
         world_from_parent: &DAffine3,
         material: Material,
-        (ray, purpose, eye): (&Ray, Purpose, Option<Eye>),
+        (ray, purpose, sight): (&Ray, Purpose, Option<Sight>),
     ) -> SeenNode<'s> {
         let material = node.material.unwrap_or(material);
         let world_from_local = *world_from_parent * node.parent_from_local;
@@ -254,8 +254,10 @@ impl<'a> ReferenceRenderer<'a> {
                 let known = self.clouds.iter().find(|(at, _)| *at == Arc::as_ptr(node));
                 let field = match known {
                     Some((_, Loaded::Points(field))) => {
-                        let eye = eye.map(|eye| eye.transformed(&local_from_world));
-                        Along::Near(field.near(&local).seen_by(eye))
+                        let sight = sight.map(|sight| sight.transformed(&local_from_world));
+                        let (filter, sight) = (object.splat_filter, sight.as_ref());
+                        let farther = |p| sight.map_or(0.0, |sight| filter.reach_in(&Aabb::new(p, p), sight));
+                        Along::Near(field.near(&local, farther).seen(filter, sight))
                     }
                     Some((_, Loaded::Given(field))) => {
                         field.ray(&local, purpose);
@@ -273,7 +275,7 @@ impl<'a> ReferenceRenderer<'a> {
             Shape::Operator(operator, children) => {
                 let seen = children
                     .iter()
-                    .map(|child| self.seen(child, &world_from_local, material, (ray, purpose, eye)));
+                    .map(|child| self.seen(child, &world_from_local, material, (ray, purpose, sight)));
                 ReachableNode::Operator(*operator, seen.collect())
             }
         };

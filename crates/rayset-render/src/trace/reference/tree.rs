@@ -3,10 +3,10 @@
 use super::shared::SharedShadows;
 use super::steps::Place;
 use super::{Position, Purpose, ReferencePixel, ReferenceRenderer, ReferenceSteps};
-use crate::field::{Eye, linear_from_srgb};
+use crate::field::{Sight, linear_from_srgb};
 use crate::image::srgb_from_linear;
-use crate::scene::{Camera, CameraError, Lighting, Material, RenderSettings};
-use rayset_base::geometry::{DAffine3, DVec3, Ray};
+use crate::scene::{Camera, CameraError, Lighting, Material, Node, RenderSettings, Shape, largest_stretch};
+use rayset_base::geometry::{Aabb, DAffine3, DVec3, Ray};
 
 /// If the reflected light contributes less than this to the pixel, the sample shows its own colour.
 const LEAST_REFLECTED: f64 = 1.0 / 256.0;
@@ -23,13 +23,13 @@ pub(super) struct Course {
     /// Normal of the boundary at the ray's origin.
     normal: DVec3,
     depth: u32,
-    /// From where the picture is seen.
-    eye: Eye,
+    /// How the picture is seen.
+    sight: Sight,
 }
 
 impl Course {
-    pub(super) fn from_eye(ray: Ray, eye: Eye) -> Self {
-        Self { ray, weight: 1.0, index: 1.0, normal: DVec3::ZERO, depth: 0, eye }
+    pub(super) fn from_eye(ray: Ray, sight: Sight) -> Self {
+        Self { ray, weight: 1.0, index: 1.0, normal: DVec3::ZERO, depth: 0, sight }
     }
 }
 
@@ -45,6 +45,26 @@ struct Mirror {
 }
 
 impl ReferenceRenderer<'_> {
+    /// The bounds of the scene, as far as splats reach for those who see them.
+    fn bounds_seen(&self, sight: &Sight) -> Aabb {
+        fn reach(node: &Node, world_from_parent: &DAffine3, sight: &Sight) -> f64 {
+            let world_from_local = *world_from_parent * node.parent_from_local;
+            match &node.shape {
+                Shape::Cloud(object) => {
+                    let sight = sight.transformed(&world_from_local.inverse());
+                    object.splat_filter.reach_in(&object.bounds(), &sight)
+                        * largest_stretch(&world_from_local)
+                }
+                Shape::Operator(_, children) => {
+                    children.iter().map(|child| reach(child, &world_from_local, sight)).fold(0.0, f64::max)
+                }
+                Shape::Grid(_) | Shape::Procedural(_) => 0.0,
+            }
+        }
+        let root = &self.scene.root;
+        root.bounds().inflated(reach(root, &DAffine3::IDENTITY, sight))
+    }
+
     /// Renders one pixel.
     ///
     /// # Errors
@@ -60,7 +80,7 @@ impl ReferenceRenderer<'_> {
         let maker = camera.ray_maker(settings.width, settings.height)?;
         let ray = maker.pixel_ray(x, y);
         let sample_offset = settings.sample_offset_of(x, y);
-        let eye = Course::from_eye(ray, maker.eye());
+        let eye = Course::from_eye(ray, maker.sight());
         let (color, transmittance) = self.follow(settings, &eye, sample_offset, steps);
         let composited = |light: f64| if self.displays() { srgb_from_linear(light) } else { light };
         let pixel = match self.scene.background {
@@ -88,7 +108,7 @@ impl ReferenceRenderer<'_> {
         steps: &ReferenceSteps,
     ) -> ([f64; 3], f64) {
         let ray = &course.ray;
-        let along = (ray, Purpose::Opacity, Some(course.eye));
+        let along = (ray, Purpose::Opacity, Some(course.sight));
         let root = self.seen(&self.scene.root, &DAffine3::IDENTITY, Material::default(), along);
         let turns = course.depth < settings.max_depth && self.scene.lighting != Lighting::Unlit;
         let mut light = DVec3::ZERO;
@@ -100,7 +120,7 @@ impl ReferenceRenderer<'_> {
         // reflectance.
         let mut inside = (0.0, course.normal, 0.0, 0.0);
         // One sample more after the last, in empty space.
-        let samples = steps.samples(ray, sample_offset, &self.scene.root.bounds());
+        let samples = steps.samples(ray, sample_offset, &self.bounds_seen(&course.sight));
         let none = Place { t: -f64::INFINITY, step: steps.coarsest_world(), number: 0 };
         let last = samples.last().copied().unwrap_or(none);
         let beyond = Place { t: (last.t + last.step).max(0.0), ..last };
@@ -130,7 +150,7 @@ impl ReferenceRenderer<'_> {
                             index,
                             normal: at.1,
                             depth: course.depth + 1,
-                            eye: course.eye,
+                            sight: course.sight,
                         };
                         self.follow(settings, &next, sample_offset, steps)
                     };
@@ -204,7 +224,7 @@ impl ReferenceRenderer<'_> {
         };
         let direction = course.ray.direction.reflect(normal);
         let ray = Ray { origin: mirror.place / mirror.weight + 0.5 * mirror.step * direction, direction };
-        let next = Course { ray, weight, index: 1.0, normal, depth: course.depth + 1, eye: course.eye };
+        let next = Course { ray, weight, index: 1.0, normal, depth: course.depth + 1, sight: course.sight };
         let (color, open) = self.follow(settings, &next, sample_offset, steps);
         mirror.weight * (DVec3::from_array(color) + open * self.behind())
     }

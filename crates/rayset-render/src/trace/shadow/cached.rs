@@ -255,7 +255,7 @@ impl TileMaker<'_> {
             curves: &mut self.curves,
             counts,
         };
-        self.march.slabs(access, &rays, &mut tracing)?;
+        self.march.slabs(access.unseen(), &rays, &mut tracing)?;
         self.curves.encode(bytes);
         Ok(())
     }

@@ -138,7 +138,7 @@ impl<'a> ShadowRays<'a> {
             shares: &mut self.shares,
             counts,
         };
-        self.march.slabs(access, &lanes, &mut tracing)?;
+        self.march.slabs(access.unseen(), &lanes, &mut tracing)?;
         Ok(())
     }
 }

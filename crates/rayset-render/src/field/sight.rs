@@ -1,0 +1,149 @@
+//! From where a picture is seen, and how large its pixels are.
+
+use rayset_base::geometry::{Aabb, DAffine3, DVec3};
+
+/// From where points are seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Eye {
+    /// From a place.
+    At(DVec3),
+    /// All along one direction.
+    Along(DVec3),
+}
+
+impl Eye {
+    /// The direction from the eye to a place, of length one.
+    #[must_use]
+    pub fn toward(self, place: DVec3) -> DVec3 {
+        let toward = match self {
+            Self::At(eye) => place - eye,
+            Self::Along(direction) => direction,
+        };
+        toward.normalize_or(DVec3::Z)
+    }
+}
+
+/// A picture's eye and its pixels, in one space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sight {
+    /// From where it is seen.
+    pub eye: Eye,
+    /// The direction of the middle of the picture, of length one.
+    pub forward: DVec3,
+    /// Edge of a pixel: at the distance 1 in front of an eye that is a place, everywhere of one
+    /// that is not.
+    pub pixel: f64,
+    /// The cosine of the angle between the middle and the corners of the picture.
+    pub corner_cosine: f64,
+}
+
+impl Sight {
+    /// The same in another space. Where the map does not keep angles, pixels are what an eye in the
+    /// other space has.
+    #[must_use]
+    pub fn transformed(self, map: &DAffine3) -> Self {
+        let (eye, scale) = match self.eye {
+            Eye::At(place) => (Eye::At(map.transform_point3(place)), 1.0),
+            Eye::Along(direction) => {
+                (Eye::Along(map.transform_vector3(direction)), map.matrix3.determinant().abs().cbrt())
+            }
+        };
+        let forward = map.transform_vector3(self.forward).normalize_or(DVec3::Z);
+        Self { eye, forward, pixel: self.pixel * scale, ..self }
+    }
+
+    /// Edge of the square that a pixel covers at a place, across the way to it: the square root of
+    /// its area. Outside the picture, pixels are those of its corners.
+    ///
+    /// At the distance d, in a direction with the cosine c to the middle, a pixel is p·d·c wide
+    /// across the direction of the middle, and less by c toward it: its area is (p·d)²·c³.
+    #[must_use]
+    pub fn pixel_at(&self, place: DVec3) -> f64 {
+        match self.eye {
+            Eye::Along(_) => self.pixel,
+            Eye::At(eye) => {
+                let (offset, distance) = (place - eye, place.distance(eye));
+                // Not a number at the eye itself, which `max` leaves out.
+                let cosine = (offset.dot(self.forward) / distance).max(self.corner_cosine);
+                self.pixel * distance * cosine * cosine.sqrt()
+            }
+        }
+    }
+
+    /// No less than the edge of a pixel at any place in a box.
+    #[must_use]
+    pub fn largest_pixel_in(&self, bounds: &Aabb) -> f64 {
+        match self.eye {
+            Eye::Along(_) => self.pixel,
+            Eye::At(eye) => {
+                let farthest = (bounds.center() - eye).abs() + bounds.size() * 0.5;
+                self.pixel * farthest.length()
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Camera, Projection};
+    use proptest::prelude::*;
+
+    fn camera(projection: Projection) -> Camera {
+        let (position, direction) = (DVec3::new(1.0, -2.0, 0.5), DVec3::new(0.2, 1.0, -0.1));
+        Camera { position, direction, up: DVec3::Z, projection }
+    }
+
+    proptest! {
+        #[test]
+        fn a_pixel_has_the_area_that_its_corners_enclose(
+            x in 0.0..600.0_f64,
+            y in 0.0..400.0_f64,
+            distance in 0.1..100.0_f64,
+            is_orthographic: bool,
+        ) {
+            let projection = if is_orthographic {
+                Projection::Orthographic { height: 3.0 }
+            } else {
+                Projection::Perspective { fovy: 1.2 }
+            };
+            let rays = camera(projection).ray_maker(600, 400).expect("a camera");
+            let ray = rays.ray(x, y);
+            let place = ray.at(distance);
+            // Where rays through the neighbours cross the plane across the ray.
+            let crossed = |dx: f64, dy: f64| {
+                let other = rays.ray(x + dx, y + dy);
+                let t = (place - other.origin).dot(ray.direction) / other.direction.dot(ray.direction);
+                other.at(t)
+            };
+            let across = crossed(0.5, 0.0) - crossed(-0.5, 0.0);
+            let down = crossed(0.0, 0.5) - crossed(0.0, -0.5);
+            let area = across.cross(down).length();
+            let edge = rays.sight().pixel_at(place);
+            prop_assert!((edge * edge / area - 1.0).abs() < 1e-4, "{} and {area}", edge * edge);
+            let bounds = Aabb::new(place - 0.1, place + 0.1);
+            prop_assert!(rays.sight().largest_pixel_in(&bounds) >= edge);
+        }
+
+        #[test]
+        fn a_scaled_and_turned_space_has_pixels_that_are_scaled(
+            scale in 0.01..100.0_f64,
+            angle in -3.0..3.0_f64,
+            place in prop::array::uniform3(-5.0..5.0_f64),
+            is_orthographic: bool,
+        ) {
+            let projection = if is_orthographic {
+                Projection::Orthographic { height: 3.0 }
+            } else {
+                Projection::Perspective { fovy: 1.2 }
+            };
+            let sight = camera(projection).ray_maker(60, 40).expect("a camera").sight();
+            let map = DAffine3::from_scale(DVec3::splat(scale))
+                * DAffine3::from_rotation_y(angle)
+                * DAffine3::from_translation(DVec3::new(3.0, 1.0, -2.0));
+            let place = DVec3::from_array(place);
+            let there = sight.transformed(&map).pixel_at(map.transform_point3(place));
+            prop_assert!((there / (scale * sight.pixel_at(place)) - 1.0).abs() < 1e-9);
+        }
+    }
+}
