@@ -268,6 +268,7 @@ const INPUTS: [&str; 33] = [
     "splats/packed.compressed.ply",
     "splats/v3.spz",
     "splats/v4.spz",
+    "splats/khronos.glb",
     "splats/records.splat",
     "splats/level1.ksplat",
     "volumes/plain.dx",

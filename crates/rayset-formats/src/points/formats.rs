@@ -19,7 +19,9 @@ use super::ply_header::Property;
 use super::ptx::{self, PtxReader};
 #[cfg(feature = "hdf5")]
 use super::snapshot::SnapshotReader;
-use super::splats::{CompressedPlyReader, GaussianPlyReader, KsplatReader, SplatReader, SpzReader};
+use super::splats::{
+    CompressedPlyReader, GaussianPlyReader, GltfReader, KsplatReader, SplatReader, SpzReader,
+};
 use super::stream::Stream;
 use super::text::TextReader;
 use super::velodyne::VelodyneReader;
@@ -99,6 +101,7 @@ const BY_NAME: fn(&[u8]) -> bool = |_| false;
 const FORMATS: &[Format] = &[
     format(&["ply"], |head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"), open_ply),
     format(&["spz"], SpzReader::begins, |path, _| boxed(SpzReader::open(path))),
+    format(&["glb", "gltf"], |head| head.starts_with(b"glTF"), |path, _| open_gltf(path)),
     format(&["splat"], BY_NAME, |path, _| boxed(SplatReader::open(path))),
     format(&["ksplat"], BY_NAME, |path, _| boxed(KsplatReader::open(path))),
     format(&["stl"], begins_as_stl, |path, options| {
@@ -203,6 +206,14 @@ fn open_ply(path: &Path, options: &ReadOptions) -> Opened {
         }
     }
     Ok(Box::new(PlyReader::open(path)?))
+}
+
+/// Opens the splats of a glTF file. Others are for renderers.
+fn open_gltf(path: &Path) -> Opened {
+    match GltfReader::open(path)? {
+        Some(splats) => boxed(Ok(splats)),
+        None => Err(unknown(path, &head(path)?)),
+    }
 }
 
 /// Opens the faces of an OBJ file or, where there are none, its vertices.

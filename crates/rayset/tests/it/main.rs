@@ -26,6 +26,7 @@ mod fixture;
 mod fixtures;
 mod format;
 mod gadget;
+mod gltf;
 mod golden;
 mod graph;
 mod grid_borders;

@@ -11,13 +11,14 @@ use rayset::points::{self, ColorDepth, PointBatch, ReadOptions, Schema};
 use crate::common::{folder, real_data};
 use crate::tables::{Table, table};
 
-const FILES: [&str; 10] = [
+const FILES: [&str; 11] = [
     "inria.ply",
     "packed.compressed.ply",
     "v1.spz",
     "v2.spz",
     "v3.spz",
     "v4.spz",
+    "khronos.glb",
     "records.splat",
     "level0.ksplat",
     "level1.ksplat",
@@ -126,7 +127,11 @@ fn the_schema_of_splats_tells_the_degree_of_their_colours_and_which_way_is_up() 
     for name in FILES {
         let schema = schema(&fixture(name));
         assert!(schema.names().take(9).eq(COLUMNS), "{name}");
-        assert_eq!(schema.up, Some(DVec3::Y * if name.ends_with(".spz") { 1.0 } else { -1.0 }), "{name}");
+        assert_eq!(
+            schema.up,
+            Some(DVec3::Y * if [".spz", ".glb"].iter().any(|end| name.ends_with(end)) { 1.0 } else { -1.0 }),
+            "{name}"
+        );
         // The records of `.splat` have no coefficients of other directions.
         let degree = if name == "records.splat" { 0 } else { 1 };
         assert_eq!((schema.harmonics().0, schema.warnings.len()), (degree, 0), "{name}");

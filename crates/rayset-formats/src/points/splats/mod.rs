@@ -1,8 +1,9 @@
-//! Gaussian splats: INRIA's PLY, PlayCanvas's compressed PLY, SPZ, `.splat` and
-//! `.ksplat`.
+//! Gaussian splats: INRIA's PLY, PlayCanvas's compressed PLY, SPZ, glTF, `.splat` and `.ksplat`.
 
 mod compressed_ply;
 mod gaussian;
+mod gltf;
+mod gltf_document;
 mod harmonics;
 mod ksplat;
 mod ksplat_header;
@@ -11,8 +12,10 @@ mod splat;
 mod spz;
 mod spz_header;
 mod spz_plane;
+mod turned;
 
 pub(super) use self::compressed_ply::CompressedPlyReader;
+pub(super) use self::gltf::GltfReader;
 pub(super) use self::ksplat::KsplatReader;
 pub(super) use self::ply::GaussianPlyReader;
 pub(super) use self::splat::SplatReader;
