@@ -26,10 +26,10 @@ use rayset::volumes::{self, RawLayout};
 use rayset::working_set::{Limits, WorkingSet, read};
 
 /// Names that the first byte of an input chooses from.
-pub const POINTS: [&str; 27] = [
+pub const POINTS: [&str; 28] = [
     "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "s.spz", "s.splat",
     "s.ksplat", "m.obj", "m.stl", "p.hdf5", "p.gadget", "p.npy", "p.npz", "p.vtk", "p.vtp", "p.vtu", "p.e57",
-    "p.pcd", "p.ptx", "p.csv.gz", "m.off", "p.bin", "s.glb",
+    "p.pcd", "p.ptx", "p.csv.gz", "m.off", "p.bin", "s.glb", "s.sog",
 ];
 /// See [`POINTS`].
 pub const VOLUMES: [&str; 12] = [

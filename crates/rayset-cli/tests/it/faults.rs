@@ -241,7 +241,7 @@ fn a_run_killed_at_any_file_operation_leaves_the_old_output_or_the_new_one_and_t
 
 /// Files of every kind that is read besides PLY and plain voxels. Of a snapshot in several files,
 /// all are there; volumes that are packed are unpacked first.
-const INPUTS: [&str; 33] = [
+const INPUTS: [&str; 35] = [
     "two_scans.e57",
     "ascii_uint32.pcd",
     "binary_float32.pcd",
@@ -269,6 +269,7 @@ const INPUTS: [&str; 33] = [
     "splats/v3.spz",
     "splats/v4.spz",
     "splats/khronos.glb",
+    "splats/bundle.sog",
     "splats/records.splat",
     "splats/level1.ksplat",
     "volumes/plain.dx",

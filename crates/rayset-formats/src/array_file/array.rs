@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::fault::Fault;
 use super::header::{Header, MOST_HEADER_BYTES, text_place};
-use super::zip::{Member, members};
+use super::zip::{Member, arrays};
 use rayset_store::storage::is_of_reading;
 
 /// Largest number of arrays of an archive that are looked at.
@@ -63,7 +63,7 @@ impl Array {
 
     /// All arrays of an archive, up to a number that is large for one.
     pub(crate) fn all(path: &Path) -> Result<Vec<Self>, Fault> {
-        let members = members(path)?.into_iter().take(MOST_ARRAYS);
+        let members = arrays(path)?.into_iter().take(MOST_ARRAYS);
         members.map(|member| Self::open(path, member)).collect()
     }
 }

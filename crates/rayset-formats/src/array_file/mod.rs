@@ -10,4 +10,4 @@ mod zip;
 pub(crate) use self::array::Array;
 pub(crate) use self::fault::Fault;
 pub(crate) use self::header::{Header, MAGIC, Scalar, text_place};
-pub(crate) use self::zip::{Member, begins_with_array, is_archive};
+pub(crate) use self::zip::{Member, begins_with_array, is_archive, members};

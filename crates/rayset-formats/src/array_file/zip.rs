@@ -1,5 +1,5 @@
-//! The arrays in a NPZ file, which is a ZIP archive (PKWARE's APPNOTE): stored as they are, or
-//! deflated, with the extensions for large files.
+//! The members of a ZIP archive (PKWARE's APPNOTE), such as the arrays of a NPZ file: stored as they
+//! are, or deflated, with the extensions for large files.
 //!
 //! Only the directory at the end is trusted for where members are; the checksum of each is verified
 //! when it is read to its end.
@@ -19,13 +19,13 @@ const MOST_DIRECTORY_BYTES: u64 = 4 << 20;
 /// Bytes at the end among which the end of the directory is sought: 22, and the longest comment.
 const END_BYTES: u64 = 22 + 65535;
 
-/// A stretch of a file that holds an array with its header.
+/// A member of an archive, or a file that is one array.
 #[derive(Clone, Debug)]
 pub(crate) struct Member {
-    /// Without `.npy`; empty if it is the whole file.
+    /// Empty if it is the whole file.
     pub(crate) name: String,
     pub(crate) start: u64,
-    /// Bytes in the file, and of the array with its header.
+    /// Bytes in the file, and when it is unpacked.
     stored: u64,
     pub(crate) bytes: u64,
     is_deflated: bool,
@@ -77,7 +77,7 @@ impl Read for Checked {
         self.sum.update(&out[..read]);
         self.left -= read as u64;
         if read > 0 && self.left == 0 && self.sum.sum() != self.checksum {
-            let what = format!("the array {} does not have its checksum; the file is damaged", self.name);
+            let what = format!("{} does not have its checksum; the file is damaged", self.name);
             return Err(io::Error::new(io::ErrorKind::InvalidData, what));
         }
         Ok(read)
@@ -110,7 +110,16 @@ fn bytes_at(file: &mut InputFile, at: u64, length: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// All arrays of an archive.
+/// The arrays of an archive, by their names without `.npy`.
+pub(crate) fn arrays(path: &Path) -> Result<Vec<Member>, Fault> {
+    let of_array = |member: Member| {
+        let name = member.name.strip_suffix(".npy")?.to_owned();
+        Some(Member { name, ..member })
+    };
+    Ok(members(path)?.into_iter().filter_map(of_array).collect())
+}
+
+/// All members of an archive that can be read.
 pub(crate) fn members(path: &Path) -> Result<Vec<Member>, Fault> {
     let mut file = InputFile::open(path)?;
     let length = file.length()?;
@@ -196,7 +205,7 @@ fn directory(file: &mut InputFile, length: u64) -> io::Result<Option<(u64, u64, 
 }
 
 /// A member by its entry in the directory, where its own head is, and the length of the entry. The
-/// member is `None` if it is no array, or compressed in another way.
+/// member is `None` if it is compressed in another way, or encrypted.
 fn entry_of(entry: &[u8]) -> Option<(Option<Member>, u64, usize)> {
     let field = |at, length| number(entry, at, length);
     let (flags, method, checksum) = (field(8, 2)?, field(10, 2)?, field(16, 4)? as u32);
@@ -220,14 +229,14 @@ fn entry_of(entry: &[u8]) -> Option<(Option<Member>, u64, usize)> {
     }
     let name = String::from_utf8_lossy(name).into_owned();
     let encrypted = flags & 1 != 0;
-    let member =
-        name.strip_suffix(".npy").filter(|_| !encrypted && (method == 0 || method == 8)).map(|name| Member {
-            name: name.to_owned(),
-            start: 0,
-            stored,
-            bytes,
-            is_deflated: method == 8,
-            checksum: Some(checksum),
-        });
+    let (is_deflated, checksum) = (method == 8, Some(checksum));
+    let member = (!encrypted && (method == 0 || method == 8)).then_some(Member {
+        name,
+        start: 0,
+        stored,
+        bytes,
+        is_deflated,
+        checksum,
+    });
     Some((member, offset, used))
 }

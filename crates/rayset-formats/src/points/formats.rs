@@ -20,7 +20,7 @@ use super::ptx::{self, PtxReader};
 #[cfg(feature = "hdf5")]
 use super::snapshot::SnapshotReader;
 use super::splats::{
-    CompressedPlyReader, GaussianPlyReader, GltfReader, KsplatReader, SplatReader, SpzReader,
+    CompressedPlyReader, GaussianPlyReader, GltfReader, KsplatReader, SogReader, SplatReader, SpzReader,
 };
 use super::stream::Stream;
 use super::text::TextReader;
@@ -102,6 +102,7 @@ const FORMATS: &[Format] = &[
     format(&["ply"], |head| head.starts_with(b"ply\n") || head.starts_with(b"ply\r"), open_ply),
     format(&["spz"], SpzReader::begins, |path, _| boxed(SpzReader::open(path))),
     format(&["glb", "gltf"], |head| head.starts_with(b"glTF"), |path, _| open_gltf(path)),
+    format(&["sog"], SogReader::begins, |path, _| boxed(SogReader::open(path))),
     format(&["splat"], BY_NAME, |path, _| boxed(SplatReader::open(path))),
     format(&["ksplat"], BY_NAME, |path, _| boxed(KsplatReader::open(path))),
     format(&["stl"], begins_as_stl, |path, options| {

@@ -191,9 +191,9 @@ pub(super) const KINDS: &[Kind] = &[
               a volume of a cube, and `numpy.savez(\"points.npz\", positions=…)` points of a table",
     },
     Kind {
-        what: "an archive of Gaussian splats (SOG)",
+        what: "an archive of Gaussian splats (LCC)",
         marks: &[],
-        extensions: &["sog", "lcc"],
+        extensions: &["lcc"],
         way: "`splat-transform FILE splats.ply` (PlayCanvas) makes a PLY that opens",
     },
     Kind {

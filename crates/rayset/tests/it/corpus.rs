@@ -18,10 +18,10 @@ use crate::las_writer::{Chunks, LasFile};
 use crate::volume_fixtures::{fixtures as volume_fixtures, unzipped};
 use crate::vti_text::{base64, vti, words};
 
-const POINTS: [&str; 27] = [
+const POINTS: [&str; 28] = [
     "p.ply", "p.las", "p.laz", "p.csv", "p.xyz", "p.pts", "p.txt", "mesh.ply", "s.spz", "s.splat",
     "s.ksplat", "m.obj", "m.stl", "p.hdf5", "p.gadget", "p.npy", "p.npz", "p.vtk", "p.vtp", "p.vtu", "p.e57",
-    "p.pcd", "p.ptx", "p.csv.gz", "m.off", "p.bin", "s.glb",
+    "p.pcd", "p.ptx", "p.csv.gz", "m.off", "p.bin", "s.glb", "s.sog",
 ];
 const VOLUMES: [&str; 12] = [
     "v.nrrd", "v.mha", "v.nii", "v.nii.gz", "v.vti", "v.mhd", "v.vdb", "v.npy", "v.npz", "v.slc", "v.vtk",
@@ -149,6 +149,7 @@ fn splats_and_meshes() -> Vec<(&'static str, Vec<u8>)> {
         ("s.spz", "splats/v3.spz"),
         ("s.spz", "splats/v4.spz"),
         ("s.glb", "splats/khronos.glb"),
+        ("s.sog", "splats/bundle.sog"),
         ("s.splat", "splats/records.splat"),
         ("s.ksplat", "splats/level0.ksplat"),
         ("s.ksplat", "splats/level1.ksplat"),

@@ -66,6 +66,7 @@ mod sessions;
 mod shadows;
 mod skips;
 mod snapshots;
+mod sog;
 mod splat_colors;
 mod splat_filters;
 mod splat_light;

@@ -63,7 +63,7 @@ fn kinds_that_others_bring_are_refused_with_what_converts_them() {
         ("orig.mgh", b"\0\0\0\x01", "FreeSurfer", "mri_convert"),
         ("points3D.bin", b"\0\0\0", "COLMAP", "model_converter"),
         ("a.fits", b"SIMPLE  =   T", "FITS", "astropy"),
-        ("a.sog", b"PK\x03\x04", "SOG", "splat-transform"),
+        ("a.lcc", b"1234", "LCC", "splat-transform"),
         ("a.pth", b"PK\x03\x04", "PyTorch", "torch.load"),
         ("a.geojson", b"{\"type\"", "a map of vectors", "ogr2ogr"),
         ("a.ifc", b"ISO-10303-21;", "CAD", "STL or OBJ"),

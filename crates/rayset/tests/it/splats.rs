@@ -11,7 +11,7 @@ use rayset::points::{self, ColorDepth, PointBatch, ReadOptions, Schema};
 use crate::common::{folder, real_data};
 use crate::tables::{Table, table};
 
-const FILES: [&str; 11] = [
+const FILES: [&str; 12] = [
     "inria.ply",
     "packed.compressed.ply",
     "v1.spz",
@@ -19,6 +19,7 @@ const FILES: [&str; 11] = [
     "v3.spz",
     "v4.spz",
     "khronos.glb",
+    "bundle.sog",
     "records.splat",
     "level0.ksplat",
     "level1.ksplat",

@@ -1,4 +1,5 @@
-//! Gaussian splats: INRIA's PLY, PlayCanvas's compressed PLY, SPZ, glTF, `.splat` and `.ksplat`.
+//! Gaussian splats: INRIA's PLY, PlayCanvas's compressed PLY, SPZ, glTF, SOG, `.splat` and
+//! `.ksplat`.
 
 mod compressed_ply;
 mod gaussian;
@@ -8,6 +9,9 @@ mod harmonics;
 mod ksplat;
 mod ksplat_header;
 mod ply;
+mod sog;
+mod sog_images;
+mod sog_meta;
 mod splat;
 mod spz;
 mod spz_header;
@@ -18,5 +22,6 @@ pub(super) use self::compressed_ply::CompressedPlyReader;
 pub(super) use self::gltf::GltfReader;
 pub(super) use self::ksplat::KsplatReader;
 pub(super) use self::ply::GaussianPlyReader;
+pub(super) use self::sog::SogReader;
 pub(super) use self::splat::SplatReader;
 pub(super) use self::spz::SpzReader;
