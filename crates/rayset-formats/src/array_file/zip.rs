@@ -1,5 +1,5 @@
-//! The members of a ZIP archive (PKWARE's APPNOTE), such as the arrays of a NPZ file: stored as they
-//! are, or deflated, with the extensions for large files.
+//! The members of a ZIP archive (PKWARE's APPNOTE), such as the arrays of a NPZ file: stored as
+//! they are, or deflated, with the extensions for large files.
 //!
 //! Only the directory at the end is trusted for where members are; the checksum of each is verified
 //! when it is read to its end.

@@ -34,8 +34,8 @@ options! {
         /// Kernel: wyvill (by default), chen, gaussian, cubic-spline, wendland-c2, epanechnikov,
         /// triweight, splat
         kernel: Kernel = Named;
-        /// Filter of splats, so that none is seen smaller than a pixel: none, 3dgs, mip; the one that
-        /// their file was trained with, 3dgs if it does not say
+        /// Filter of splats, so that none is seen smaller than a pixel: none, 3dgs, mip; the one
+        /// that their file was trained with, 3dgs if it does not say
         splat_filter: SplatFilter = Named;
         /// Kernels integrate to one (smoothed-particle hydrodynamics); left out where weights are
         /// densities already, as those of snapshots are

@@ -86,6 +86,13 @@ const WIDEST: f32 = 1e30;
 /// absorbs hardly more than what is cut off, and is gone.
 const LEAST_KEPT: f32 = 1.0 / 64.0;
 
+/// The factor on the square of a semi-axis to which this part of it is added.
+#[inline(always)]
+fn wider_by(part: f32) -> f32 {
+    // Not a number of nothing on what is too thin for its square, which `max` leaves out.
+    (1.0 + part.max(0.0)).min(WIDEST)
+}
+
 /// What is left of the extent of a splat when half the logarithm of the area across a ray has grown
 /// by `grown`; and the factor on the square of its radius.
 #[inline(always)]
@@ -101,7 +108,7 @@ fn compensated(extent: f32, grown: f32) -> (f32, f32) {
 fn widen_balls(added: &Added, compensates: bool, points: &mut PointColumns) {
     for i in 0..RUN_POINTS {
         let (extent, inverse) = (points.weight[i], points.inverse_radius[i]);
-        let wider = (1.0 + 2.0 * extent * added.variance[i] * inverse * inverse).min(WIDEST);
+        let wider = wider_by(2.0 * extent * added.variance[i] * inverse * inverse);
         let (left, kept) = if compensates { compensated(extent, ln(wider)) } else { (extent, 1.0) };
         let radius = points.radius[i] * (wider * kept).sqrt();
         points.radius[i] = radius;
@@ -120,7 +127,7 @@ fn widen_ellipsoids(added: &Added, compensates: bool, points: &mut PointColumns)
         // Of each semi-axis, one by its square.
         let inverse = rows.map(|row| dot(row, row));
         let extent = points.weight[i];
-        let wider = inverse.map(|inverse| (1.0 + 2.0 * extent * added.variance[i] * inverse).min(WIDEST));
+        let wider = inverse.map(|inverse| wider_by(2.0 * extent * added.variance[i] * inverse));
         let (left, kept) = if compensates {
             let toward = [0, 1, 2].map(|axis| added.toward[axis][i]);
             let along = rows.map(|row| dot(row, toward) * dot(row, toward));

@@ -243,3 +243,68 @@ impl RayMaker {
         self.ray(f64::from(x) + 0.5, f64::from(y) + 0.5)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rayset_base::geometry::DAffine3;
+
+    fn camera(projection: Projection) -> Camera {
+        let (position, direction) = (DVec3::new(1.0, -2.0, 0.5), DVec3::new(0.2, 1.0, -0.1));
+        Camera { position, direction, up: DVec3::Z, projection }
+    }
+
+    proptest! {
+        #[test]
+        fn a_pixel_has_the_area_that_its_corners_enclose(
+            x in 0.0..600.0_f64,
+            y in 0.0..400.0_f64,
+            distance in 0.1..100.0_f64,
+            is_orthographic: bool,
+        ) {
+            let projection = if is_orthographic {
+                Projection::Orthographic { height: 3.0 }
+            } else {
+                Projection::Perspective { fovy: 1.2 }
+            };
+            let rays = camera(projection).ray_maker(600, 400).expect("a camera");
+            let ray = rays.ray(x, y);
+            let place = ray.at(distance);
+            // Where rays through the neighbours cross the plane across the ray.
+            let crossed = |dx: f64, dy: f64| {
+                let other = rays.ray(x + dx, y + dy);
+                let t = (place - other.origin).dot(ray.direction) / other.direction.dot(ray.direction);
+                other.at(t)
+            };
+            let across = crossed(0.5, 0.0) - crossed(-0.5, 0.0);
+            let down = crossed(0.0, 0.5) - crossed(0.0, -0.5);
+            let area = across.cross(down).length();
+            let edge = rays.sight().pixel_at(place);
+            prop_assert!((edge * edge / area - 1.0).abs() < 1e-4, "{} and {area}", edge * edge);
+            let bounds = Aabb::new(place - 0.1, place + 0.1);
+            prop_assert!(rays.sight().largest_pixel_in(&bounds) >= edge);
+        }
+
+        #[test]
+        fn a_scaled_and_turned_space_has_pixels_that_are_scaled(
+            scale in 0.01..100.0_f64,
+            angle in -3.0..3.0_f64,
+            place in prop::array::uniform3(-5.0..5.0_f64),
+            is_orthographic: bool,
+        ) {
+            let projection = if is_orthographic {
+                Projection::Orthographic { height: 3.0 }
+            } else {
+                Projection::Perspective { fovy: 1.2 }
+            };
+            let sight = camera(projection).ray_maker(60, 40).expect("a camera").sight();
+            let map = DAffine3::from_scale(DVec3::splat(scale))
+                * DAffine3::from_rotation_y(angle)
+                * DAffine3::from_translation(DVec3::new(3.0, 1.0, -2.0));
+            let place = DVec3::from_array(place);
+            let there = sight.transformed(&map).pixel_at(map.transform_point3(place));
+            prop_assert!((there / (scale * sight.pixel_at(place)) - 1.0).abs() < 1e-9);
+        }
+    }
+}

@@ -337,7 +337,7 @@ fn real_ply_files_are_read_to_their_last_vertex() {
         ("scan/bun_zipper.ply", 35_947, 2),
         ("scan/bun_zipper_res2.ply", 8171, 2),
         ("scan/lucy.ply", 49_987, 0),
-        ("3dgs/train-1000.ply", 1000, 13),
+        ("3dgs/train-1000.ply", 1000, 65),
     ] {
         let Some(path) = real_data(name) else {
             eprintln!("skipped: no {name} here");

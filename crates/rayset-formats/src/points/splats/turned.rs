@@ -36,8 +36,8 @@ impl Turn {
     }
 }
 
-/// Directions that are spread over half of the sphere, as the other half says the same: a spiral, in
-/// equal steps of height.
+/// Directions that are spread over half of the sphere, as the other half says the same: a spiral,
+/// in equal steps of height.
 fn direction(j: usize, count: usize) -> DVec3 {
     let z = (j as f64 + 0.5) / count as f64;
     let (sin, cos) = (2.4 * j as f64).sin_cos();

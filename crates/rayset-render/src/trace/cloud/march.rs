@@ -180,6 +180,7 @@ impl CloudMarch {
         let field = &mut scratch.fields[at];
         field.clear();
         let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
+        scratch.batch.clear();
         scratch.batch.set_sight(self.sight);
         self.gather(volume, request, lanes, &splatter, &mut scratch.batch, counts, field)?;
         // Opacities are no depths: where a ray ends is not found by adding them.
@@ -206,7 +207,6 @@ impl CloudMarch {
         self.active.sort_unstable();
         let (slab, sight) = (request.slab, self.sight.as_ref());
         let place = PacketInCloud { access: request.access, cloud, packet: &self.packet, rays, sight };
-        batch.clear();
         let live = request.live.0.iter().fold(0, |samples, lane| samples | lane);
         let matters = |runs: &ActiveRuns| {
             let (first, last) = slab.samples_at(runs.first, runs.last);
