@@ -30,9 +30,10 @@ use rayset_terminal::report;
 pub(crate) struct BuildArgs {
     /// Points: PLY, LAS, LAZ, COPC, E57, PCD, PTX, PTS, XYZ, TXT, CSV, ASC, NPY, NPZ, VTK, VTP or
     /// VTU files; BIN of KITTI and nuScenes; snapshots of simulations (HDF5 of GADGET, SWIFT,
-    /// AREPO, EAGLE, Illustris; GADGET 1 and 2); Gaussian splats (PLY, SPZ, SPLAT, KSPLAT); meshes
-    /// (OBJ, OFF, STL); text, PLY, PTX and PCD in gzip or zstd; folders and patterns of such. Or
-    /// one volume: NRRD, MetaImage (MHA, MHD), NIfTI, VTI, VTR, VTK, VDB, DX, SLC, NPY or NPZ
+    /// AREPO, EAGLE, Illustris; GADGET 1 and 2); Gaussian splats (PLY, SPZ, glTF, SOG, SPLAT,
+    /// KSPLAT); meshes (OBJ, OFF, STL); text, PLY, PTX and PCD in gzip or zstd; folders and
+    /// patterns of such. Or one volume: NRRD, MetaImage (MHA, MHD), NIfTI, VTI, VTR, VTK, VDB, DX,
+    /// SLC, NPY or NPZ
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     #[command(flatten)]

@@ -186,7 +186,9 @@ fn check_least_in(folder: &Path, name: &str, scene: &str, (output, more): (&str,
     let stats: serde_json::Value = serde_json::from_str(&text).expect("statistics are JSON");
     let (peak, least) = (number(&stats, "peak_rss_bytes") / MIB, least as f64 / MIB);
     assert!(peak <= least, "{name}: {peak:.1} MiB resident, where {least:.1} MiB are said to suffice");
-    assert!(peak > share * least, "{name}: {least:.1} MiB are demanded, and {peak:.1} MiB used");
+    // How much of the program itself is resident depends on how the system holds its file.
+    let varies = if cfg!(debug_assertions) { 1.5 } else { 0.0 };
+    assert!(peak + varies > share * least, "{name}: {least:.1} MiB are demanded, and {peak:.1} MiB used");
 }
 
 #[test]
