@@ -47,6 +47,9 @@ pub fn open_points(files: &Files, options: &ReadOptions, strict: bool, host: &dy
             Err(error) => return Err(error.into()),
         }
     }
+    // A file may tell of others that were opened before it, such as coarser levels of the same.
+    let of_others: HashSet<PathBuf> = sources.iter().flat_map(|source| others_of(&**source)).collect();
+    sources.retain(|source| source.path().is_none_or(|path| !of_others.contains(path)));
     if sources.is_empty() {
         let first = left_out.first().unwrap_or_else(|| "no input files".into());
         return Err(anyhow!("{first}"));
@@ -101,6 +104,12 @@ impl Opening {
         }
         Ok(Some(source))
     }
+}
+
+/// The files of a source besides the one that it was opened by.
+fn others_of(source: &dyn PointSource) -> Vec<PathBuf> {
+    let own = source.path().map(Path::to_owned);
+    source.files().into_iter().filter(|file| Some(file) != own.as_ref()).collect()
 }
 
 /// Says so if sources have different reference systems, whose coordinates do not belong together.

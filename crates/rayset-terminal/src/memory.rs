@@ -6,8 +6,8 @@
 /// once. The code of an unoptimised build is larger, by up to two mebibytes. So is that of a
 /// program that opens addresses, though it opens none, by up to two; unoptimised, of which 14.3 MiB
 /// were seen to be resident, by five. Of a program that was just written, systems that keep files
-/// in large pieces (Linux 6.18) map one to two mebibytes more of one that is not optimised, and half
-/// a one of one that is.
+/// in large pieces (Linux 6.18) map one to two mebibytes more of one that is not optimised, and
+/// half a one of one that is.
 pub const PROCESS_BYTES: u64 = match (cfg!(debug_assertions), cfg!(feature = "remote")) {
     (false, false) => 20 << 19,
     (false, true) => 23 << 19,

@@ -436,6 +436,24 @@ fn inputs_of_different_reference_systems_are_remarked_upon() {
 }
 
 #[test]
+fn a_folder_of_levels_of_detail_is_read_once_at_its_finest() {
+    let folder = folder();
+    let f = folder.path();
+    fs::create_dir(f.join("in")).expect("a folder");
+    let bundle = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rayset/tests/fixtures/splats/bundle.sog");
+    for name in ["coarse.sog", "fine.sog"] {
+        fs::copy(&bundle, f.join("in").join(name)).expect("a copy");
+    }
+    let levels = r#"{"lodLevels": 2, "filenames": ["coarse.sog", "fine.sog"], "tree": {"lods":
+        {"0": {"file": 1, "offset": 0, "count": 30}, "1": {"file": 0, "offset": 0, "count": 10}}}}"#;
+    fs::write(f.join("in/lod-meta.json"), levels).expect("a write");
+    succeeds(f, &["build", "in", "-o", "levels.rset"]);
+    let told = run(f, &["info", "levels.rset", "--json"]).stdout;
+    let told: serde_json::Value = serde_json::from_slice(&told).expect("JSON");
+    assert_eq!(told["points"], 30, "{told}");
+}
+
+#[test]
 fn json_of_others_is_no_scene() {
     let folder = folder();
     for (name, what) in

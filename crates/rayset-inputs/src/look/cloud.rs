@@ -375,9 +375,11 @@ impl CloudLook {
 /// The filter of splats whose weights are opacities, by what the files that they are from say of
 /// how they were trained; `None` of points that are none of these.
 fn filter_of(sources: &[String]) -> Option<SplatFilter> {
-    let mut splats = sources.iter().filter(|said| said.contains("Gaussian splats, ")).peekable();
-    splats.peek()?;
-    let is_mip = splats.all(|said| said.contains(", antialiased"));
+    // Before it stand the comments of a file, which may be anything.
+    let own = sources.iter().filter_map(|said| Some(said.rsplit_once("Gaussian splats, ")?.1));
+    let mut own = own.peekable();
+    own.peek()?;
+    let is_mip = own.all(|said| said.contains(", antialiased"));
     Some(if is_mip { SplatFilter::Mip } else { SplatFilter::Dilated })
 }
 

@@ -166,6 +166,10 @@ impl Compiler<'_> {
         if operator != Operator::Difference {
             return (operator, children);
         }
+        // How far filtered splats reach is known when they are seen.
+        if self.is_filtered(children[0]) || children[1..].iter().any(|&child| self.is_filtered(child)) {
+            return (operator, children);
+        }
         let reached = self.instructions[children[0]].bounds.inflated(self.scene.unit_distance);
         let mut first = true;
         children.retain(|&child| {
@@ -176,10 +180,23 @@ impl Compiler<'_> {
         (if children.len() == 1 { Operator::Union } else { operator }, children)
     }
 
+    /// Whether an instruction has splats that are filtered.
+    fn is_filtered(&self, at: usize) -> bool {
+        match &self.instructions[at].action {
+            Action::Cloud(volume) => volume.placement.is_filtered(),
+            Action::Operator(_, children) => children.iter().any(|&child| self.is_filtered(child)),
+            Action::Grid(_) | Action::Procedural(_) => false,
+        }
+    }
+
     fn operator_bounds(&self, operator: Operator, children: &[usize]) -> Aabb {
         let mut boxes = children.iter().map(|&c| self.instructions[c].bounds);
         match operator {
             Operator::Union | Operator::Blend => boxes.fold(Aabb::EMPTY, Aabb::union),
+            // The boxes of filtered splats may meet when they are seen.
+            Operator::Intersection if children.iter().any(|&child| self.is_filtered(child)) => {
+                boxes.next().unwrap_or(Aabb::EMPTY)
+            }
             Operator::Intersection => boxes.reduce(Aabb::intersection).unwrap_or(Aabb::EMPTY),
             Operator::Difference => boxes.next().unwrap_or(Aabb::EMPTY),
         }

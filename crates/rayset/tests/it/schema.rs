@@ -154,6 +154,7 @@ fn everything_that_the_schema_names_is_read() {
                 "material": {"ambient": 0.1, "diffuse": 0.2, "specular": 0.3, "shininess": 4, "reflectance": 0.5, "refractiveIndex": 1.2}},
             {"type": "cloud", "file": "p.rset", "kernel": "gaussian", "normalised": true,
                 "transferFunction": {"opacity": {"extinction": 2}, "color": "points"}},
+            {"type": "cloud", "file": "p.rset", "kernel": "splat", "splatFilter": "3dgs", "transferFunction": {"opacity": {"extinction": 1}}},
             {"type": "cloud", "file": "p.rset", "transferFunction": {"preset": {"file": "maps.json", "name": "Fire"}, "input": "density"}},
             {"type": "blend", "children": [
                 {"type": "box", "size": [1, 1, 1], "opacity": 0.5, "edge": 0.1, "color": {"type": "checker", "colors": ["#000000", [1, 1, 1]], "size": 0.5}},

@@ -140,6 +140,32 @@ fn splats_smaller_than_a_pixel_are_shown_whole_beyond_the_box_of_their_points() 
 }
 
 #[test]
+fn what_is_farther_than_splats_reach_without_a_filter_cuts_what_they_reach_with_it() {
+    // Pixels of a quarter, and what is cut away begins a pixel beyond a splat that is far smaller.
+    let small = (DVec3::new(-0.125, 0.125, 0.0), DVec3::splat(1e-3), DQuat::IDENTITY, 0.9);
+    let cloud = built(&[small]);
+    let cut = solid(Form::Box { size: DVec3::splat(4.0) }, [1.0; 3]);
+    let beyond = Arc::new(cut.moved(DAffine3::from_translation(DVec3::new(2.0, 0.0, 0.0))));
+    let splats = Arc::new(Node::new(Shape::Cloud(filtered(&cloud, SplatFilter::Dilated))));
+    let shown = |operator, other: &Arc<Node>| {
+        let mut scene = scene_of(object(&cloud), false);
+        let children = vec![splats.clone(), other.clone()];
+        (scene.root, scene.unit_distance) = (Arc::new(Node::new(Shape::Operator(operator, children))), 0.01);
+        let settings = RenderSettings { step: Step::Fixed(0.02), stop_transmittance: 0.0, ..settings(8, 8) };
+        let files = paged(&scene, u64::MAX / 2);
+        picture(&scene, &parallel(2.0), &settings, &ExecSettings::default(), &files).expect("a picture")
+    };
+    let alpha = |pixels: f64| 0.9 * (-pixels * pixels / 0.6).exp();
+    let row = |pixels: Vec<[f32; 4]>| [2, 3, 4].map(|x| f64::from(pixels[3 * 8 + x][3]));
+    let close = |found: [f64; 3], expected: [f64; 3]| {
+        let is_close = found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 4e-3);
+        assert!(is_close, "{found:?} and {expected:?}");
+    };
+    close(row(shown(Operator::Difference, &beyond)), [alpha(1.0), alpha(0.0), 0.0]);
+    close(row(shown(Operator::Intersection, &beyond)), [0.0, 0.0, alpha(1.0)]);
+}
+
+#[test]
 fn the_mip_filter_keeps_what_splats_absorb_in_all_at_any_resolution() {
     let cloud = built(&splats(60, 0.05, 0.3, 5));
     let absorbed = |width: u32, filter| {

@@ -87,6 +87,7 @@ impl GltfReader {
         }
         let values = &mut self.values[at];
         values.clear();
+        values.reserve_exact(count * accessor.width);
         for bytes in self.buffer.chunks(stride) {
             values.extend((0..accessor.width).map(|number| accessor.value(bytes, number)));
         }
@@ -149,10 +150,12 @@ fn display_from_linear(light: f64) -> f64 {
 impl RecordReader for GltfReader {
     fn memory_needed(&self) -> u64 {
         // Numbers of all attributes, and the bytes of one.
-        let numbers: usize = 3 + 4 + 3 + 1 + CHANNELS + harmonics::rest(self.degree);
-        let strides = self.document.primitives.iter().flat_map(|primitive| &primitive.accessors);
-        let widest = strides.map(|accessor| accessor.stride).max().unwrap_or(0);
-        CHUNK as u64 * (8 * numbers as u64 + widest)
+        let of = |primitive: &Primitive| {
+            let numbers: usize = primitive.accessors.iter().map(|accessor| accessor.width).sum();
+            let widest = primitive.accessors.iter().map(|accessor| accessor.stride).max().unwrap_or(0);
+            CHUNK as u64 * (8 * numbers as u64 + widest)
+        };
+        self.document.primitives.iter().map(of).max().unwrap_or(0)
     }
 
     fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {
@@ -176,7 +179,8 @@ impl RecordReader for GltfReader {
                 let byte = accessor.offset + (self.done + wrong as u64 / 3) * accessor.stride;
                 let what = "a scale below 0: drafts of KHR_gaussian_splatting had logarithms there; write the file again"
                     .to_owned();
-                return Err(ReadError::malformed(request.path(), Place::Byte(byte), what));
+                let path = &self.document.files[accessor.file];
+                return Err(ReadError::malformed(path, Place::Byte(byte), what));
             }
             for i in 0..count {
                 self.gaussian(i, &placed).append(self.own, request.selected, batch);

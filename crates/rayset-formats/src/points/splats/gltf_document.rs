@@ -19,10 +19,13 @@ pub(super) const MAGIC: &[u8; 4] = b"glTF";
 const EXTENSION: &str = "KHR_gaussian_splatting";
 /// Most bytes of the JSON.
 const MOST_JSON: u64 = 8 << 20;
-/// Deepest nesting of nodes, most nodes that are visited, and most places of splats.
+/// Deepest nesting of nodes, most nodes and primitives that are looked at, and most places of
+/// splats.
 const DEEPEST: usize = 64;
-const MOST_NODES: usize = 1 << 16;
+const MOST_VISITED: usize = 1 << 20;
 const MOST_PLACES: usize = 4096;
+/// Most bytes from one element of an accessor to the next.
+const MOST_STRIDE: u64 = 252;
 const CHUNK_JSON: u32 = 0x4e4f_534a;
 const CHUNK_DATA: u32 = 0x004e_4942;
 
@@ -134,7 +137,13 @@ struct Reading<'p> {
     files: Vec<PathBuf>,
     /// For each buffer its file, the offset there, and its bytes.
     buffers: Vec<(usize, u64, u64)>,
+}
+
+/// What nodes have been found to place.
+#[derive(Default)]
+struct Found {
     primitives: Vec<Primitive>,
+    /// Nodes and primitives that were looked at.
     visited: usize,
 }
 
@@ -149,18 +158,10 @@ impl Document {
         if !uses {
             return Ok(None);
         }
-        let mut reading = Reading {
-            path,
-            json,
-            files: vec![path.to_owned()],
-            buffers: Vec::new(),
-            primitives: Vec::new(),
-            visited: 0,
-        };
+        let mut reading = Reading { path, json, files: vec![path.to_owned()], buffers: Vec::new() };
         reading.buffers(data)?;
-        reading.scene()?;
-        let Reading { files, primitives, .. } = reading;
-        Ok((!primitives.is_empty()).then_some(Self { files, primitives }))
+        let primitives = reading.scene()?;
+        Ok((!primitives.is_empty()).then_some(Self { files: reading.files, primitives }))
     }
 }
 
@@ -197,7 +198,9 @@ fn json_of(path: &Path) -> Result<(Value, Option<(u64, u64)>), ReadError> {
         return Ok((json, None));
     }
     let word = |at: usize| u32::from_le_bytes([next[at], next[at + 1], next[at + 2], next[at + 3]]);
-    Ok((json, (word(4) == CHUNK_DATA).then_some((start + bytes + 8, u64::from(word(0))))))
+    let data = start + bytes + 8;
+    let there = file.length().map_err(io)?.saturating_sub(data).min(word(0).into());
+    Ok((json, (word(4) == CHUNK_DATA).then_some((data, there))))
 }
 
 impl Reading<'_> {
@@ -253,37 +256,44 @@ impl Reading<'_> {
     }
 
     /// Goes through the nodes of the scene that is shown, or of the first.
-    fn scene(&mut self) -> Result<(), ReadError> {
+    fn scene(&self) -> Result<Vec<Primitive>, ReadError> {
         let shown = self.json["scene"].as_u64().unwrap_or(0);
         let scene = self.object("scenes", &Value::from(shown))?;
-        let nodes = scene["nodes"].as_array().cloned().unwrap_or_default();
-        nodes.iter().try_for_each(|node| self.node(node, &DAffine3::IDENTITY, 0))
+        let nodes = list(&scene["nodes"]);
+        let mut found = Found::default();
+        nodes.iter().try_for_each(|node| self.node(node, &DAffine3::IDENTITY, 0, &mut found))?;
+        Ok(found.primitives)
     }
 
-    fn node(&mut self, index: &Value, world_from_parent: &DAffine3, depth: usize) -> Result<(), ReadError> {
-        self.visited += 1;
-        if depth > DEEPEST || self.visited > MOST_NODES {
-            let what = format!("nodes are nested deeper than {DEEPEST}, or there are more than {MOST_NODES}");
+    fn node(
+        &self,
+        index: &Value,
+        world_from_parent: &DAffine3,
+        depth: usize,
+        found: &mut Found,
+    ) -> Result<(), ReadError> {
+        let node = self.object("nodes", index)?;
+        let primitives = match &node["mesh"] {
+            Value::Null => &[],
+            mesh => list(&self.object("meshes", mesh)?["primitives"]),
+        };
+        found.visited += 1 + primitives.len();
+        if depth > DEEPEST || found.visited > MOST_VISITED {
+            let what =
+                format!("nodes are nested deeper than {DEEPEST}, or there are more than {MOST_VISITED}");
             return Err(self.fail(what));
         }
-        let node = self.object("nodes", index)?.clone();
         let placed =
-            place(&node).ok_or_else(|| self.fail(format!("node {index} has a transform that is none")))?;
+            place(node).ok_or_else(|| self.fail(format!("node {index} has a transform that is none")))?;
         let world_from_local = *world_from_parent * placed;
-        if !node["mesh"].is_null() {
-            let mesh = self.object("meshes", &node["mesh"])?.clone();
-            for primitive in mesh["primitives"].as_array().into_iter().flatten() {
-                if !primitive["extensions"][EXTENSION].is_null() {
-                    let primitive = self.primitive(primitive, world_from_local)?;
-                    self.primitives.push(primitive);
-                }
-            }
+        for primitive in primitives.iter().filter(|primitive| !primitive["extensions"][EXTENSION].is_null()) {
+            found.primitives.push(self.primitive(primitive, world_from_local)?);
         }
-        if self.primitives.len() > MOST_PLACES {
+        if found.primitives.len() > MOST_PLACES {
             return Err(self.fail(format!("more than {MOST_PLACES} places of splats")));
         }
-        let children = node["children"].as_array().cloned().unwrap_or_default();
-        children.iter().try_for_each(|child| self.node(child, &world_from_local, depth + 1))
+        let children = list(&node["children"]);
+        children.iter().try_for_each(|child| self.node(child, &world_from_local, depth + 1, found))
     }
 
     fn primitive(&self, primitive: &Value, world_from_local: DAffine3) -> Result<Primitive, ReadError> {
@@ -310,7 +320,8 @@ impl Reading<'_> {
         let given = &primitive["attributes"];
         let has = |(name, _): &(String, usize)| !given[name.as_str()].is_null();
         let degree = (0..=3).rev().find(|&degree| attributes(degree)[4..].iter().all(has)).unwrap_or(0);
-        let accessors: Vec<Accessor> = attributes(degree)
+        // Those of linear light are not read.
+        let accessors: Vec<Accessor> = attributes(if is_linear { 0 } else { degree })
             .into_iter()
             .map(|(name, width)| self.accessor(&given[name.as_str()], &name, width))
             .collect::<Result<_, _>>()?;
@@ -343,13 +354,18 @@ impl Reading<'_> {
         let own = (width * component.bytes()) as u64;
         let stride = self.whole(view, "byteStride")?;
         let stride = if stride == 0 { own } else { stride };
+        if !(own..=MOST_STRIDE).contains(&stride) {
+            return Err(wrong(&format!(
+                "{stride} bytes from one to the next; expected {own} to {MOST_STRIDE}"
+            )));
+        }
         let (within, count) = (self.whole(of, "byteOffset")?, self.whole(of, "count")?);
         let of_view = self.whole(view, "byteOffset")?;
         let begin = of_view.checked_add(within);
         let there = of_view.saturating_add(self.whole(view, "byteLength")?).min(bytes);
         let needed = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(own));
         let end = begin.zip(needed).and_then(|(begin, needed)| begin.checked_add(needed));
-        if stride < own || end.is_none_or(|end| end > there) {
+        if end.is_none_or(|end| end > there) {
             return Err(wrong(&format!(
                 "{count} values of {own} bytes, which end behind the {there} that are there of their buffer"
             )));
@@ -358,6 +374,11 @@ impl Reading<'_> {
         let offset = start + begin.unwrap_or_default();
         Ok(Accessor { file, offset, stride, component, width, is_normalized, count })
     }
+}
+
+/// The elements of a list; none of what is no list.
+fn list(value: &Value) -> &[Value] {
+    value.as_array().map_or(&[], Vec::as_slice)
 }
 
 /// How a node is placed in the space of its parent; `None` if its numbers are none.

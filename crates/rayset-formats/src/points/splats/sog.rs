@@ -2,7 +2,8 @@
 //! rotations, deviations and colours. A bundle (`.sog`), the JSON of one that is not (`meta.json`),
 //! or that of levels of detail (`lod-meta.json`), of which the finest is read.
 
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 
 use super::gaussian::{self, Gaussian, color_of};
 use super::harmonics::{self, Harmonics};
@@ -17,6 +18,8 @@ use rayset_files::points::harmonics::{CHANNELS, coefficients};
 const BYTES_A_PIXEL: u64 = 6 * 4 + 12;
 /// Of the palette of coefficients.
 const BYTES_OF_PALETTE: u64 = 4 + 12;
+/// What is known of a file: three lists of codes, names, members of an archive.
+const BYTES_A_FILE: u64 = 8 << 10;
 /// Tags of rotations: 252 and the number of the largest component.
 const FIRST_TAG: u8 = 252;
 
@@ -74,10 +77,14 @@ impl SogReader {
         }
         let own = schema.columns.len();
         let count = files.iter().flat_map(|file| &file.stretches).map(|(_, count)| count).sum();
-        let mut paths = vec![path.to_owned()];
-        paths.extend(files.iter().flat_map(|file| file.parts.files(&file.meta)).filter(|of| of != path));
+        // Coarser levels are of the same splats: who reads this file does not read those.
+        let of_levels = sog_meta::file_names(&json).map(|name| path.with_file_name(name));
+        let of_levels = of_levels.filter(|file| file.is_file());
+        let others: BTreeSet<PathBuf> =
+            files.iter().flat_map(|file| file.parts.files(&file.meta)).chain(of_levels).collect();
+        let paths = std::iter::once(path.to_owned()).chain(others.into_iter().filter(|of| of != path));
         let reader = Self { files, degree, own, file: 0, stretch: 0, done: 0, images: None };
-        Ok(FileSource::of_files(paths, schema, Some(count), reader))
+        Ok(FileSource::of_files(paths.collect(), schema, Some(count), reader))
     }
 
     /// Gaussian `index` of the file that is read.
@@ -160,7 +167,7 @@ impl RecordReader for SogReader {
             let size = file.meta.harmonics.as_ref().map_or((0, 0), MetaHarmonics::palette_size);
             BYTES_A_PIXEL * most_pixels(file.meta.count) + BYTES_OF_PALETTE * size.0 * size.1
         };
-        self.files.iter().map(of_file).max().unwrap_or(0)
+        self.files.iter().map(of_file).max().unwrap_or(0) + self.files.len() as u64 * BYTES_A_FILE
     }
 
     fn read(&mut self, request: &Request<'_>, batch: &mut PointBatch) -> Result<(), ReadError> {

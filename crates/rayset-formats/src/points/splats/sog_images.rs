@@ -8,11 +8,11 @@ use serde_json::Value;
 
 use super::sog_meta::{Meta, MetaHarmonics};
 use crate::array_file::{Fault, Member, members};
-use crate::points::{Place, ReadError};
+use crate::points::{Place, ReadError, quiet};
 use rayset_store::storage::input_file::InputFile;
 
-/// Most bytes of the JSON.
-const MOST_JSON: u64 = 8 << 20;
+/// Most bytes of the JSON: of levels of detail it grows with the files.
+const MOST_JSON: u64 = 4 << 20;
 /// The name of the JSON in an archive.
 const META: &str = "meta.json";
 
@@ -140,8 +140,10 @@ impl Parts {
             Self::Archive(path, _) => path.clone(),
         };
         let fail = |what: String| ReadError::malformed(&path, Place::Byte(at), format!("`{name}`: {what}"));
-        let mut decoder =
-            WebPDecoder::new(Cursor::new(bytes)).map_err(|error| fail(format!("not WebP: {error}")))?;
+        // Decoders of others may panic on bytes that are made to be wrong.
+        let damaged = || fail("damaged WebP".into());
+        let decoder = quiet::catch(|| WebPDecoder::new(Cursor::new(bytes))).ok_or_else(damaged)?;
+        let mut decoder = decoder.map_err(|error| fail(format!("not WebP: {error}")))?;
         let (width, height) = decoder.dimensions();
         let pixels = u64::from(width) * u64::from(height);
         if !(least..=most).contains(&pixels) || decoder.is_animated() {
@@ -152,7 +154,8 @@ impl Parts {
         }
         let channels = if decoder.has_alpha() { 4 } else { 3 };
         let mut content = vec![0; pixels as usize * channels];
-        decoder.read_image(&mut content).map_err(|error| fail(format!("damaged WebP: {error}")))?;
+        let read = quiet::catch(|| decoder.read_image(&mut content)).ok_or_else(damaged)?;
+        read.map_err(|error| fail(format!("damaged WebP: {error}")))?;
         Ok(Image { width: width as usize, height: height as usize, channels, bytes: content })
     }
 

@@ -138,16 +138,29 @@ pub(super) fn has_levels(json: &Value) -> bool {
     json["lodLevels"].is_u64() && json["tree"].is_object()
 }
 
+/// The names of all files that one with levels of detail tells of, as far as they are names.
+pub(super) fn file_names(json: &Value) -> impl Iterator<Item = &str> {
+    let names = json["filenames"].as_array().into_iter().flatten().filter_map(Value::as_str);
+    names.filter(|name| is_within(name))
+}
+
+/// Whether a name is of a file in the same folder or in one beside it.
+fn is_within(name: &str) -> bool {
+    let parts: Vec<&str> = name.split('/').collect();
+    parts.len() <= 2 && parts.iter().all(|part| is_beside(part))
+}
+
 /// The finest splats everywhere of a file with levels of detail.
 pub(super) fn finest(json: &Value) -> Read<Vec<Chosen>> {
     let names = json["filenames"].as_array().into_iter().flatten().map(Value::as_str);
     let names = names.collect::<Option<Vec<_>>>().ok_or("`filenames`: expected names")?;
-    let within = |name: &str| {
-        let parts: Vec<&str> = name.split('/').collect();
-        parts.len() <= 2 && parts.iter().all(|part| is_beside(part))
-    };
-    if names.len() > MOST_FILES || !names.iter().all(|name| within(name)) {
+    if names.len() > MOST_FILES || !names.iter().all(|name| is_within(name)) {
         return Err("`filenames`: expected names in folders beside this file".into());
+    }
+    let mut sorted = names.clone();
+    sorted.sort_unstable();
+    if sorted.windows(2).any(|w| w[0] == w[1]) {
+        return Err("`filenames`: two of them are the same".into());
     }
     let mut chosen: Vec<Chosen> =
         names.iter().map(|name| Chosen { name: (*name).to_owned(), stretches: Vec::new() }).collect();
@@ -158,7 +171,7 @@ pub(super) fn finest(json: &Value) -> Read<Vec<Chosen>> {
     if chosen.iter().any(overlap) {
         return Err("`tree`: two of its nodes have the same splats".into());
     }
-    if let Some(name) = json["environment"].as_str().filter(|name| within(name)) {
+    if let Some(name) = json["environment"].as_str().filter(|name| is_within(name)) {
         chosen.push(Chosen { name: name.to_owned(), stretches: Vec::new() });
     }
     Ok(chosen)

@@ -74,6 +74,11 @@ impl CloudPlacement<Unopened> {
 }
 
 impl<P> CloudPlacement<P> {
+    /// Whether its points are splats that are wider for those who see them.
+    pub(in crate::trace) fn is_filtered(&self) -> bool {
+        self.filter != SplatFilter::None
+    }
+
     pub(in crate::trace) fn cloud(&self) -> &Arc<Cloud> {
         &self.cloud
     }
