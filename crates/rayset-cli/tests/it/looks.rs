@@ -436,6 +436,25 @@ fn inputs_of_different_reference_systems_are_remarked_upon() {
 }
 
 #[test]
+fn splats_of_which_one_is_astray_are_shown_with_few_samples() {
+    let folder = folder();
+    let f = folder.path();
+    let names = ["f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
+    let more: String = names.iter().map(|name| format!("property float {name}\n")).collect();
+    let splat = |place: [f64; 3]| format!("{} {} {} 0.5 0 0 2 -3 -3 -3", place[0], place[1], place[2]);
+    for (far, most) in [(1.0, 1e6), (1e6, 1e6), (1e12, 1e6)] {
+        let close = (0..40).map(|i| [f64::from(i % 4), f64::from(i / 4 % 3), f64::from(i / 12)]);
+        ply(&f.join("s.ply"), &more, close.chain([[far, 0.0, 0.0]]).map(splat));
+        let said = succeeds(f, &["render", "s.ply", "-o", "s.png", "--size", "32x32", "--stats", "s.json"]);
+        assert!(said.contains("look: splats"), "{said}");
+        let told = fs::read_to_string(f.join("s.json")).expect("statistics");
+        let told: serde_json::Value = serde_json::from_str(&told).expect("JSON");
+        let evaluations = told["kernel_evaluations"].as_f64().expect("a number");
+        assert!(evaluations < most, "{far}: {evaluations}");
+    }
+}
+
+#[test]
 fn a_folder_of_levels_of_detail_is_read_once_at_its_finest() {
     let folder = folder();
     let f = folder.path();

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use rayset::file::Header;
 use rayset::geometry::DVec3;
-use rayset::scene::Kernel;
+use rayset::scene::{Kernel, SplatFilter};
 use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
@@ -15,6 +15,7 @@ use super::apply::Input;
 use super::cloud::CloudLook;
 use super::framing::{Axis, one_place, outline, reach};
 use super::grid::GridLook;
+use super::splats;
 use super::statistics::{Statistics, percentile};
 use super::turntable::Turntable;
 use super::view::{CameraChoice, Orientation};
@@ -205,6 +206,10 @@ fn of_sampled_cloud(
     let (points, away) = one_place(chosen.points());
     scene["camera"] = camera.scene(&chosen.orientation, &points, aspect(size))?;
     let header = cloud.header();
+    let is_filtered = chosen.filter.is_some_and(|filter| filter != SplatFilter::None);
+    if is_filtered && style.step.is_none() && style.step_fraction.is_none() {
+        splats::lengthen_steps(&mut scene, &points, size.1, header.radius_mean);
+    }
     let stored: Vec<&str> = header.attributes.iter().map(|a| a.name.as_str()).collect();
     let stored = if stored.is_empty() {
         "the cloud stores none besides x, y and z; keep columns with `build --attributes`".to_owned()

@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use super::classes::class_name;
 use super::evidence::{class_column, fills_volume, intensity_column, varies, vertical};
 use super::palettes;
+use super::splats::{STEP, filter_of};
 use super::statistics::{Statistics, percentile, range};
 use super::upright::orientation;
 use super::view::Orientation;
@@ -300,7 +301,7 @@ impl CloudLook {
                 scene["rendering"]["compositing"] = json!("display");
                 if self.filter.is_some() {
                     // Which splat is in front is told apart by steps, and costs little.
-                    scene["rendering"]["stepFraction"] = json!(0.05);
+                    scene["rendering"]["stepFraction"] = json!(STEP);
                 }
                 if self.filter.is_some_and(|filter| filter != SplatFilter::None) {
                     // What is filtered has no detail finer than a pixel.
@@ -370,17 +371,6 @@ impl CloudLook {
             self.orientation.reason_and_up()
         )
     }
-}
-
-/// The filter of splats whose weights are opacities, by what the files that they are from say of
-/// how they were trained; `None` of points that are none of these.
-fn filter_of(sources: &[String]) -> Option<SplatFilter> {
-    // Before it stand the comments of a file, which may be anything.
-    let own = sources.iter().filter_map(|said| Some(said.rsplit_once("Gaussian splats, ")?.1));
-    let mut own = own.peekable();
-    own.peek()?;
-    let is_mip = own.all(|said| said.contains(", antialiased"));
-    Some(if is_mip { SplatFilter::Mip } else { SplatFilter::Dilated })
 }
 
 /// The look that columns and shape suggest, and why.

@@ -15,6 +15,7 @@ mod labels;
 mod palettes;
 mod ranges;
 mod shape;
+mod splats;
 mod statistics;
 mod turntable;
 mod upright;

@@ -26,6 +26,8 @@ const MOST_VISITED: usize = 1 << 20;
 const MOST_PLACES: usize = 4096;
 /// Most bytes from one element of an accessor to the next.
 const MOST_STRIDE: u64 = 252;
+/// Longest sentence about a file, in letters.
+const LONGEST: usize = 300;
 const CHUNK_JSON: u32 = 0x4e4f_534a;
 const CHUNK_DATA: u32 = 0x004e_4942;
 
@@ -204,7 +206,13 @@ fn json_of(path: &Path) -> Result<(Value, Option<(u64, u64)>), ReadError> {
 }
 
 impl Reading<'_> {
+    /// Quotes of the file in what is said are shortened.
     fn fail(&self, what: String) -> ReadError {
+        let what = if what.chars().count() > LONGEST {
+            what.chars().take(LONGEST).chain(['…']).collect()
+        } else {
+            what
+        };
         ReadError::malformed(self.path, Place::Byte(0), what)
     }
 

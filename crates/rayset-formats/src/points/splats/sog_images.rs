@@ -113,7 +113,9 @@ impl Parts {
             }
             Self::Archive(path, members) => {
                 let member = members.iter().find(|member| member.name == name).ok_or_else(|| {
-                    ReadError::malformed(path, Place::Byte(0), format!("`{name}` is not in this archive"))
+                    let what =
+                        format!("`{name}` is not in this archive, or packed in a way that is not read");
+                    ReadError::malformed(path, Place::Byte(0), what)
                 })?;
                 let stream = member.open(path, 0).map_err(ReadError::io(path))?;
                 (path.clone(), member.bytes, member.start, stream)
@@ -146,7 +148,10 @@ impl Parts {
         let mut decoder = decoder.map_err(|error| fail(format!("not WebP: {error}")))?;
         let (width, height) = decoder.dimensions();
         let pixels = u64::from(width) * u64::from(height);
-        if !(least..=most).contains(&pixels) || decoder.is_animated() {
+        if decoder.is_animated() {
+            return Err(fail("an animation".into()));
+        }
+        if !(least..=most).contains(&pixels) {
             return Err(fail(format!("{width}×{height} pixels; expected {least} to {most}")));
         }
         if decoder.is_lossy() {

@@ -12,6 +12,8 @@ pub(super) const ACROSS: usize = 64;
 /// Rows by which an image may be higher than it needs to be.
 const SPARE_ROWS: u64 = 4;
 
+/// Most splats: an image has no more pixels.
+const MOST_SPLATS: u64 = 1 << 28;
 /// Values that bytes stand for.
 const CODES: usize = 256;
 /// Most lists of a palette, whose numbers have two bytes.
@@ -98,14 +100,17 @@ impl Meta {
     pub(super) fn parse(json: &Value) -> Read<Self> {
         match json["version"].as_u64() {
             Some(2) => {}
+            None if json["means"].is_null() => {
+                return Err("not the JSON of SOG: it has no `means`".into());
+            }
             None => {
                 return Err("SOG of version 1; `splat-transform FILE new.sog` makes version 2 of it".into());
             }
             Some(other) => return Err(format!("SOG of version {other}; version 2 can be read")),
         }
         let count = json["count"].as_u64().ok_or("`count`: expected the number of splats")?;
-        if count > u64::from(u32::MAX) {
-            return Err(format!("{count} splats; expected at most {}", u32::MAX));
+        if count > MOST_SPLATS {
+            return Err(format!("{count} splats; expected at most {MOST_SPLATS}"));
         }
         let (low, high) = (numbers(&json["means"], "mins", 3)?, numbers(&json["means"], "maxs", 3)?);
         let codes =
