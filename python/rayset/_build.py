@@ -76,8 +76,8 @@ def build(
         ``"skip"``: points whose position, radius or weight is not a usable number are left out, with a warning; those too large to be
         stored are an error. ``"skip-all"`` leaves these out, too; ``"raise"`` makes an error of the first.
     shape
-        ``"auto"``: where radii are measured, points are discs on surfaces, rods along wires and small balls where they are scattered; and
-        columns ``semi_axis_1`` to ``semi_axis_3`` and ``rotation_x`` to ``rotation_w`` make ellipsoids. ``"round"``: all points are balls.
+        ``"auto"``: where radii are measured, points are discs on surfaces, rods along wires and small balls where they are scattered, or
+        discs across their normals, if there are columns ``nx``, ``ny`` and ``nz``, or an array ``normals``; and columns ``semi_axis_1`` to ``semi_axis_3`` and ``rotation_x`` to ``rotation_w`` make ellipsoids. ``"round"``: all points are balls.
     radius_scale, length_scale
         Factors of all radii; of all coordinates and radii.
     precision

@@ -56,6 +56,21 @@ const COLOR_ALIASES: [[&str; 3]; 8] = [
     ["colors_0", "colors_1", "colors_2"],
 ];
 
+/// Names of the components of a surface normal, which are one only together.
+const NORMALS: [[&str; 3]; 9] = [
+    ["nx", "ny", "nz"],
+    // Of PCD, E57, and vectors by these names.
+    ["normal_x", "normal_y", "normal_z"],
+    ["normalX", "normalY", "normalZ"],
+    ["normals_x", "normals_y", "normals_z"],
+    ["n_x", "n_y", "n_z"],
+    // Of CloudCompare as scalar fields, and of ParaView.
+    ["scalar_nx", "scalar_ny", "scalar_nz"],
+    ["normals:0", "normals:1", "normals:2"],
+    ["normals_0", "normals_1", "normals_2"],
+    ["point_normals_x", "point_normals_y", "point_normals_z"],
+];
+
 /// The index of the first of `names` that equals `wanted`, exactly or otherwise ignoring case.
 fn place(names: &[&str], wanted: &str) -> Option<usize> {
     let exact = names.iter().position(|n| *n == wanted);
@@ -96,6 +111,12 @@ pub fn color_places(names: &[&str]) -> Option<[usize; 3]> {
         return None;
     }
     COLOR_ALIASES.iter().find_map(|[r, g, b]| Some([find(r)?, find(g)?, find(b)?]))
+}
+
+/// The places of the components of a surface normal.
+pub fn normals(names: &[&str]) -> Option<[usize; 3]> {
+    let find = |name: &str| place(names, name);
+    NORMALS.iter().find_map(|[x, y, z]| Some([find(x)?, find(y)?, find(z)?]))
 }
 
 /// The column that `name` refers to: the one of that name, otherwise the one with that role,

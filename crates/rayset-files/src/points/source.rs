@@ -8,15 +8,6 @@ use super::roles;
 use rayset_base::cancel::CancelToken;
 use rayset_base::geometry::DVec3;
 
-/// The columns by which points are ellipsoids, if a source has all of them: the lengths of three
-/// semi-axes, in any order and unit, for the radius says how large a point is; and the quaternion,
-/// of any length, of the rotation that takes x, y and z to their directions.
-pub const SHAPE_COLUMNS: [&str; 7] =
-    ["semi_axis_1", "semi_axis_2", "semi_axis_3", "rotation_x", "rotation_y", "rotation_z", "rotation_w"];
-
-/// Of points with shapes, a column that may say the radius of each where points are to be round.
-pub const ROUND_RADIUS: &str = "round_radius";
-
 /// The value range of the colour columns of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]

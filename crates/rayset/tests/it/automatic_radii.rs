@@ -10,7 +10,7 @@ use rayset::geometry::{DMat3, DVec3, Shape};
 use rayset::octree::build::{self, BuildControl, BuildOptions, Precision, Rule, ShapeRule};
 use rayset::octree::page::Run;
 use rayset::octree::shape::StoredShape;
-use rayset::points::{ArraySource, PointBatch, ReadOptions, open};
+use rayset::points::{ArraySource, PointBatch, PointSource, ReadOptions, open};
 
 use crate::common::{Random, real_data};
 
@@ -21,18 +21,22 @@ const NEIGHBOUR: usize = 8;
 
 /// A point as it was built.
 #[derive(Clone, Copy)]
-struct Built {
-    position: Point,
-    radius: f64,
-    shape: Shape,
+pub(crate) struct Built {
+    pub(crate) position: Point,
+    pub(crate) radius: f64,
+    pub(crate) shape: Shape,
 }
 
 /// Builds a cloud with automatic radii and shapes and returns its points.
 fn built(points: &[Point]) -> Vec<Built> {
     let options = BuildOptions { radius: Some(Rule::Auto), ..BuildOptions::default() };
-    let source = ArraySource::new(points.to_vec(), vec![]);
-    let (cloud, _) = build::run_in_memory(vec![Box::new(source)], &options, &BuildControl::default())
-        .expect("the cloud builds");
+    built_of(vec![Box::new(ArraySource::new(points.to_vec(), vec![]))], &options)
+}
+
+/// Builds a cloud and returns its points.
+pub(crate) fn built_of(sources: Vec<Box<dyn PointSource>>, options: &BuildOptions) -> Vec<Built> {
+    let (cloud, _) =
+        build::run_in_memory(sources, options, &BuildControl::default()).expect("the cloud builds");
     let (header, mut built) = (cloud.header(), Vec::new());
     let add = |run: Run<'_>| {
         let shapes: Vec<Shape> = match run.shapes(header) {

@@ -40,6 +40,7 @@ mod las_writer;
 mod layers;
 mod many_threads;
 mod meshes;
+mod normals;
 mod npy;
 mod other_tables;
 mod other_volumes;

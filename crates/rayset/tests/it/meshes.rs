@@ -90,7 +90,7 @@ fn points_of_a_mesh_lie_evenly_so_that_its_surface_has_no_pores() {
 fn colours_of_vertices_are_interpolated() {
     for (name, largest) in [("square.ply", 255.0), ("square.obj", 1.0)] {
         let schema = points::open(fixture(name), &with_points(1)).expect("a mesh").schema().clone();
-        assert!(schema.names().eq(["red", "green", "blue"]), "{name}");
+        assert!(schema.names().eq(["red", "green", "blue", "nx", "ny", "nz"]), "{name}");
         let found = sample(&fixture(name), 200).expect("points");
         for (i, [x, y, _]) in found.position.iter().enumerate() {
             let color = [0, 1, 2].map(|channel| found.columns[channel].get(i) / largest);
@@ -102,7 +102,7 @@ fn colours_of_vertices_are_interpolated() {
     let folder = folder();
     let text = "v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0\nf 1 2 3\n";
     let source = points::open(write(folder.path(), "m.obj", text), &with_points(1)).expect("a mesh");
-    assert!(source.schema().columns.is_empty());
+    assert_eq!(source.schema().names().collect::<Vec<_>>(), ["nx", "ny", "nz"]);
 }
 
 /// A PLY of a lattice of vertices, two triangles between four; `more` are a property of vertices
@@ -154,7 +154,7 @@ fn colours_of_vertices_in_off_are_read() {
         let vertex = |x: u32, y: u32| format!("{x} {y} 0 {normal}200 80 40 255\n");
         let text = format!("{word}\n3 1 0\n{}{}{}3 0 1 2\n", vertex(0, 0), vertex(1, 0), vertex(0, 1));
         let batch = sample(&write(folder.path(), "m.off", text), 5).expect("a mesh");
-        assert_eq!(batch.columns.len(), 3, "{word}");
+        assert_eq!(batch.columns.len(), 6, "{word}");
         assert!(
             (batch.columns[0].get(2) - 200.0).abs() < 1e-3 && (batch.columns[2].get(2) - 40.0).abs() < 1e-3
         );

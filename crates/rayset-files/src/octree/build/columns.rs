@@ -5,7 +5,7 @@ use super::error::BuildError;
 use super::options::{BuildOptions, Rule, ShapeRule};
 use super::record::RecordLayout;
 use crate::octree::format::NAME_BYTES;
-use crate::points::{ColumnInfo, ColumnType, PointSource, ROUND_RADIUS, SHAPE_COLUMNS, Schema};
+use crate::points::{ColumnInfo, ColumnType, PointSource, ROUND_RADIUS, Schema, ShapeOrigin};
 
 /// The columns of a record, and the columns of the sources from which they come.
 pub(super) struct Columns {
@@ -16,7 +16,8 @@ pub(super) struct Columns {
     pub(super) radius: Option<usize>,
     pub(super) weight: Option<usize>,
     pub(super) attributes: Vec<usize>,
-    /// Whether shapes are measured, with the radii.
+    /// Whether shapes are measured, with the radii. Those that records have then are discs by their
+    /// normals, which are kept, or balls for lack of one, which are not.
     pub(super) measures_shapes: bool,
     /// The attributes, each of the common type of all sources.
     pub(super) infos: Vec<ColumnInfo>,
@@ -29,8 +30,8 @@ const INTENSITIES: [&str; 5] = ["intensity", "reflectance", "scalar_intensity", 
 /// The columns to select of a source, and which of them, in its batches, are what.
 pub(super) struct Selection {
     pub(super) columns: Vec<usize>,
-    /// Semi-axes and rotation, of a source that has shapes.
-    pub(super) shape: Option<[usize; SHAPE_COLUMNS.len()]>,
+    /// What says the shapes of a source: its semi-axes and rotations, or its normals.
+    pub(super) shape: Option<ShapeOrigin>,
     /// The coefficients that a source has of harmonics: the constant ones, then the others, first
     /// those of red, then of green and blue.
     pub(super) harmonics: Vec<usize>,
@@ -97,8 +98,12 @@ impl Columns {
         let has_color = options.keep_color && sources.iter().any(|source| colors(source.schema()).is_some());
         let degrees = sources.iter().map(|source| source.schema().harmonics().0);
         let degree = degrees.max().filter(|_| has_color).unwrap_or(0);
-        let has_shape = options.shape != ShapeRule::Round
-            && sources.iter().any(|source| shape(source.schema()).is_some());
+        let of_any = |of: fn(&Schema) -> Option<ShapeOrigin>| {
+            options.shape != ShapeRule::Round && sources.iter().any(|source| of(source.schema()).is_some())
+        };
+        let has_axes = of_any(Schema::axes_of_shapes);
+        let measures_shapes = is_auto && options.shape != ShapeRule::Round && !has_axes;
+        let has_normals = measures_shapes && of_any(Schema::normals);
         let attributes: Vec<usize> = options.attributes.iter().map(|name| place(name)).collect();
         for (input, source) in sources.iter().enumerate() {
             if let Some(name) = names.iter().find(|name| source.schema().find(name).is_none()) {
@@ -110,13 +115,12 @@ impl Columns {
         let infos: Vec<ColumnInfo> = options.attributes.iter().map(|name| common(name, sources)).collect();
         let layout = RecordLayout {
             has_radius: radius.is_some(),
-            has_shape,
+            has_shape: has_axes || has_normals,
             has_weight: weight.is_some(),
             has_color,
             harmonics: degree,
             attributes: infos.iter().map(|info| info.kind).collect(),
         };
-        let measures_shapes = is_auto && options.shape != ShapeRule::Round && !has_shape;
         Ok(Self { layout, names, radius, weight, attributes, measures_shapes, infos })
     }
 
@@ -127,8 +131,12 @@ impl Columns {
             selected.push(column);
             selected.len() - 1
         };
-        let shape = shape(schema).filter(|_| self.layout.has_shape);
-        let shape = shape.map(|columns| columns.map(&mut select));
+        let shape = match self.layout.has_shape {
+            true if self.measures_shapes => schema.normals(),
+            true => schema.axes_of_shapes(),
+            false => None,
+        };
+        let shape = shape.map(|origin| origin.map(&mut select));
         if !self.layout.has_color {
             return Selection { columns: selected, shape, harmonics: Vec::new(), colors: None };
         }
@@ -152,12 +160,6 @@ impl Columns {
 fn colors(schema: &Schema) -> Option<[usize; 3]> {
     let [red, green, blue] = COLORS.map(|name| schema.find(name));
     Some([red?, green?, blue?])
-}
-
-/// The columns of shapes, if a source has all of them.
-fn shape(schema: &Schema) -> Option<[usize; SHAPE_COLUMNS.len()]> {
-    let found = SHAPE_COLUMNS.map(|name| schema.find(name));
-    found.iter().all(Option::is_some).then(|| found.map(Option::unwrap_or_default))
 }
 
 /// A column as it is stored: of the common type of all sources, and with their unit if it is the

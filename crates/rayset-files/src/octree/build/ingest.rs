@@ -5,11 +5,12 @@ use super::columns::{ColorOrigin, Columns};
 use super::context::Context;
 use super::control::Stage;
 use super::error::{BuildError, Quantity};
+use super::neighbourhood::disc;
 use super::options::{BuildOptions, InvalidPolicy};
 use super::survey::{Form, LIMIT, Survey, Totals};
 use crate::octree::harmonics::{CHANNELS, CONSTANT, encode, stored_bytes};
 use crate::octree::shape::StoredShape;
-use crate::points::{PointBatch, PointSource, ReadError, SHAPE_COLUMNS, Values};
+use crate::points::{PointBatch, PointSource, ReadError, ShapeOrigin, Values};
 use rayset_base::geometry::{DQuat, DVec3, Shape};
 use rayset_store::spill::{Spill, SpillWriter};
 
@@ -181,7 +182,7 @@ struct Tally<'a> {
     options: &'a BuildOptions,
     columns: &'a Columns,
     /// Where the shapes of the current source come from.
-    shape: Option<[usize; SHAPE_COLUMNS.len()]>,
+    shape: Option<ShapeOrigin>,
     /// Where the coefficients of its harmonics come from.
     harmonics: Vec<usize>,
     /// Where the colours of the current source come from.
@@ -242,7 +243,7 @@ impl Tally<'_> {
             record.extend_from_slice(&(r as f32).to_le_bytes());
         }
         if columns.layout.has_shape {
-            let Some(shape) = self.shape.map_or(Some(StoredShape::BALL), |columns| shape(batch, columns, i))
+            let Some(shape) = self.shape.map_or(Some(StoredShape::BALL), |origin| shape(batch, origin, i))
             else {
                 totals.skipped.radius += 1;
                 return Err(
@@ -311,9 +312,17 @@ fn append_harmonics(coefficients: impl Fn(usize) -> f64, count: usize, record: &
 }
 
 /// The shape of point `i` of a batch, by semi-axes and rotation; `None` if these are of none. That
-/// of a ball has no rotation, so that balls are equal.
-fn shape(batch: &PointBatch, columns: [usize; SHAPE_COLUMNS.len()], i: usize) -> Option<StoredShape> {
-    let [a, b, c, x, y, z, w] = columns.map(|column| batch.columns[column].get(i));
+/// of a ball has no rotation, so that balls are equal. By a normal it is a disc; a ball if that is
+/// none.
+fn shape(batch: &PointBatch, origin: ShapeOrigin, i: usize) -> Option<StoredShape> {
+    let number = |column: usize| batch.columns[column].get(i);
+    let columns = match origin {
+        ShapeOrigin::Axes(columns) => columns,
+        ShapeOrigin::Normal(columns) => {
+            return Some(disc(DVec3::from_array(columns.map(number))).unwrap_or(StoredShape::BALL));
+        }
+    };
+    let [a, b, c, x, y, z, w] = columns.map(number);
     let (_, shape) = Shape::of_semi_axes([a, b, c], DQuat::from_xyzw(x, y, z, w))?;
     let stored = StoredShape::encode(&shape);
     Some(if stored.decode().is_ball() { StoredShape::BALL } else { stored })

@@ -4,6 +4,8 @@
 //! plane. Along a wire they lie about a line: it becomes a rod. Where they lie all around, as in
 //! leaves, it becomes a small ball. Between these, shapes change without a jump.
 //!
+//! Where a file says which way its surface faces, a point is a disc that faces there.
+//!
 //! With σ₁ ≥ σ₂ ≥ σ₃ the deviations of the neighbours along the axes of their covariance, what is
 //! flat has a small σ₃/σ₂, and what is thin a small σ₂/σ₁. Constants were chosen by measurement
 //! (docs/benchmarks.md, "Automatic radii and shapes").
@@ -77,6 +79,22 @@ impl Suggested {
     }
 }
 
+/// The disc that faces along a normal of any length; `None` if that has no direction.
+pub(super) fn disc(normal: DVec3) -> Option<StoredShape> {
+    // Divided first, because squares of numbers that are small or large enough are 0 or infinite.
+    let largest = normal.abs().max_element();
+    let normal = (normal / largest).normalize();
+    if !(largest > 0.0 && normal.is_finite()) {
+        return None;
+    }
+    // Either end of it says the same; and half way between z and itself is the axis about which
+    // half a turn takes one to the other.
+    let up = if normal.z < 0.0 { -normal } else { normal };
+    let half = (up + DVec3::Z).normalize();
+    let rotation = DQuat::from_xyzw(half.x, half.y, half.z, 0.0);
+    Some(StoredShape::encode(&Shape { rotation, ratios: [1.0, DISC_THICKNESS] }))
+}
+
 /// What the neighbours of a place say of its points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct OfPlace {
@@ -135,6 +153,22 @@ mod tests {
         assert!(!ball.is_flat && shape.ratios[0] == 1.0 && shape.ratios[1] > 0.5);
         assert!(radius_of(ball.shape) < 0.95);
         assert_eq!(radius_of(StoredShape::BALL), 1.0);
+    }
+
+    #[test]
+    fn discs_face_along_normals_of_any_length() {
+        for normal in
+            [[0.0, 0.0, 1.0], [0.0, 0.0, -1e-300], [3e200, 0.0, 0.0], [0.6, -0.5, -0.3], [0.1, 0.2, -9.0]]
+        {
+            let normal = DVec3::from_array(normal);
+            let Shape { rotation, ratios } = disc(normal).unwrap().decode();
+            let direction = (normal / normal.abs().max_element()).normalize();
+            assert!((rotation * DVec3::Z).dot(direction).abs() > 1.0 - 1e-7, "{normal}");
+            assert!(ratios[0] == 1.0 && (ratios[1] / DISC_THICKNESS - 1.0).abs() < 1e-3);
+        }
+        for normal in [[0.0; 3], [f64::NAN, 0.0, 1.0], [f64::INFINITY, 0.0, 0.0]] {
+            assert_eq!(disc(DVec3::from_array(normal)), None);
+        }
     }
 
     #[test]

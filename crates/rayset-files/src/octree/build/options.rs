@@ -26,8 +26,9 @@ pub enum Rule {
 pub enum ShapeRule {
     /// Those of inputs that have columns of [semi-axes and
     /// rotations](crate::points::SHAPE_COLUMNS). Else, where radii are measured, shapes are, too:
-    /// discs on surfaces, rods along wires, small balls where points are scattered. Clouds without
-    /// surfaces have balls, and so have those whose radii are given.
+    /// discs across the normals of inputs that have any (columns `nx`, `ny`, `nz`, and other usual
+    /// names); otherwise discs on surfaces, rods along wires, small balls where points are
+    /// scattered. Clouds without surfaces have balls, and so have those whose radii are given.
     #[default]
     Auto,
     /// Balls, whatever the inputs say.

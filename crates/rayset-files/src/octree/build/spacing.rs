@@ -47,7 +47,7 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
         sketch: Sketch::new(keys, GRAIN, most_boxes(context.options.memory_bytes)),
         writer: SpillWriter::new(context.spill()?, 1 << 20),
         stride,
-        room: if survey.measures_shapes { 4 + SHAPE_BYTES } else { 4 },
+        room: survey.layout.with_measures(survey.measures_shapes).stride() - stride,
     };
     partition.run(Region::all(&spill, survey.count), &Copy, &mut writer)?;
     drop(spill);
@@ -133,12 +133,20 @@ fn store(
     for (record, place) in bytes.chunks_exact_mut(curve.stride).zip(places) {
         record[POSITION..HEAD].copy_from_slice(&stored(place.radius).to_le_bytes());
         if survey.measures_shapes {
-            record[HEAD..HEAD + SHAPE_BYTES].copy_from_slice(&place.suggested.shape.to_bytes());
+            keep_shape(record, place.suggested.shape, survey);
         }
     }
     // Others may read these records meanwhile, but only their positions, which stay as they are.
     let at = block.start * curve.stride as u64;
     curve.spill.write_at(&bytes, at).map_err(context.io("rewrite temporary files in"))
+}
+
+/// Stores the shape that the neighbours of a record suggest, unless its normal has decided already.
+pub(super) fn keep_shape(record: &mut [u8], suggested: StoredShape, survey: &Survey) {
+    let stored = &mut record[HEAD..HEAD + SHAPE_BYTES];
+    if !survey.layout.has_shape || *stored == StoredShape::BALL.to_bytes() {
+        stored.copy_from_slice(&suggested.to_bytes());
+    }
 }
 
 /// Gives all records the radii and shapes that they keep.
@@ -182,7 +190,7 @@ impl Settling {
         Self {
             typical: measured.typical(survey),
             measures_shapes: survey.measures_shapes,
-            has_surfaces: measured.has_surfaces(),
+            has_surfaces: measured.has_surfaces(survey.normals),
             settled: Settled::NONE,
         }
     }

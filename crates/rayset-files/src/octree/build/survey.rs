@@ -65,15 +65,17 @@ impl Form {
 /// identity.
 const AUTO_RADII: &str = ", 0.85 of the eighth neighbour";
 
-/// The same of automatic shapes.
+/// The same of automatic shapes, without normals and with them.
 const AUTO_SHAPES: &str = ", shapes by sixteen";
+const SHAPES_BY_NORMALS: &str = ", shapes by normals or sixteen";
 
 /// Everything besides the records on which pages depend, so that files that differ in it have
 /// different identities.
 fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns: &Columns) -> String {
     let definition = if *radius == Rule::Auto { AUTO_RADII } else { "" };
     let shapes = match (columns.layout.has_shape, columns.measures_shapes) {
-        (true, _) => " shapes",
+        (true, true) => SHAPES_BY_NORMALS,
+        (true, false) => " shapes",
         (false, true) => AUTO_SHAPES,
         (false, false) => "",
     };
@@ -120,7 +122,7 @@ pub(super) struct Totals {
     pub(super) bounds: Aabb,
     pub(super) radius_range: (f32, f32),
     pub(super) weight_range: (f32, f32),
-    /// Records whose shape is not a ball.
+    /// Records whose shape is not a ball; those with normals, if shapes are measured.
     pub(super) shapes: u64,
     pub(super) depths: Depths,
     pub(super) attribute_ranges: Vec<(f64, f64)>,
@@ -277,6 +279,8 @@ pub(super) struct Survey {
     pub(super) auto_scale: f64,
     /// Whether shapes are still to be measured, with the radii.
     pub(super) measures_shapes: bool,
+    /// Records that are discs by their normals, if shapes are measured.
+    pub(super) normals: u64,
     pub(super) weight: f32,
     pub(super) weight_range: (f32, f32),
     /// Whether shapes are stored: of balls alone they are not.
@@ -301,9 +305,10 @@ impl Survey {
             radius_range,
             auto_scale: form.auto_scale,
             measures_shapes: form.measures_shapes,
+            normals: if form.measures_shapes { totals.shapes } else { 0 },
             weight: form.weight,
             weight_range: totals.weight_range,
-            has_shapes: totals.shapes > 0,
+            has_shapes: totals.shapes > 0 && !form.measures_shapes,
             depths: totals.depths.clone(),
             attributes: (form.attributes.iter().zip(&totals.attribute_ranges))
                 .map(|(info, &(min, max))| AttributeInfo {

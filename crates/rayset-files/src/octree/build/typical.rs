@@ -55,9 +55,10 @@ impl Measured {
     }
 
     /// Whether the points lie on surfaces, so far as shapes were asked for: else none has a shape,
-    /// for in a cloud that fills space all are scattered.
-    pub(super) fn has_surfaces(&self) -> bool {
-        self.flat > 0 && self.flat as f64 >= LEAST_FLAT * (self.known + self.unknown) as f64
+    /// for in a cloud that fills space all are scattered. So many of them have `normals`.
+    pub(super) fn has_surfaces(&self, normals: u64) -> bool {
+        let flat = self.flat.max(normals);
+        flat > 0 && flat as f64 >= LEAST_FLAT * (self.known + self.unknown) as f64
     }
 
     /// The radius than which a part of all radii is smaller, rounded down to the beginning of its

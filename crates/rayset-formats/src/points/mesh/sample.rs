@@ -14,6 +14,11 @@ const FEWEST_POINTS: u64 = 1_000_000;
 /// The most of these on a mesh.
 const MOST_POINTS: u64 = 20_000_000;
 
+/// The columns of points: colours, if the mesh has any, and the normal of their triangle, of length
+/// one.
+const COLORS: [&str; 3] = ["red", "green", "blue"];
+const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
+
 /// The formats of meshes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::points) enum MeshFormat {
@@ -46,9 +51,9 @@ impl MeshFormat {
     }
 }
 
-/// Points on the surface of a mesh, evenly distributed by area; the same for the same mesh and
-/// number. The mesh is held in memory: 24 bytes per vertex, with a colour 36, and 20 bytes per
-/// triangle, with a colour of its own 32.
+/// Points on the surface of a mesh, evenly distributed by area, with the normals of its faces; the
+/// same for the same mesh and number. The mesh is held in memory: 24 bytes per vertex, with a
+/// colour 36, and 20 bytes per triangle, with a colour of its own 32.
 ///
 /// Equal shares of the area, triangle after triangle, have a point each. Where in its triangle it
 /// lies follows from its number by a sequence of low discrepancy, of which any part in a row is
@@ -100,12 +105,10 @@ impl MeshSource {
         let by_triangles =
             survey.triangles.saturating_mul(POINTS_PER_TRIANGLE).clamp(FEWEST_POINTS, MOST_POINTS);
         let points_wanted = points.unwrap_or(by_triangles);
-        let colors = ["red", "green", "blue"].map(|name| ColumnInfo::new(name, ColumnType::F32));
-        let (columns, depth) = if survey.has_colors() || survey.has_face_colors() {
-            (colors.to_vec(), description.depth)
-        } else {
-            (Vec::new(), ColorDepth::Unit)
-        };
+        let has_colors = survey.has_colors() || survey.has_face_colors();
+        let names = COLORS.into_iter().filter(|_| has_colors).chain(NORMAL);
+        let columns = names.map(|name| ColumnInfo::new(name, ColumnType::F32)).collect();
+        let depth = if has_colors { description.depth } else { ColorDepth::Unit };
         let mut schema = Schema { description: description.text, ..Schema::new(columns, depth) };
         if points.is_none() {
             schema.warnings = vec![format!(
@@ -205,6 +208,7 @@ impl PointSource for MeshSource {
         let end = self.points.min(self.next.saturating_add(limit as u64));
         let whole = self.area.last().copied().unwrap_or(0.0);
         let last = self.mesh.triangles.len() - 1;
+        let colors = self.schema.columns.len() - NORMAL.len();
         let place = |number: u64| (number as f64 + 0.5) / self.points as f64 * whole;
         let mut triangle = self.area.partition_point(|&area| area <= place(self.next)).min(last);
         for number in self.next..end {
@@ -216,8 +220,13 @@ impl PointSource for MeshSource {
             let shares = shares(number);
             let p = a * shares[0] + b * shares[1] + c * shares[2];
             batch.position.push(p.to_array());
+            let normal = (b - a).cross(c - a).normalize_or_zero().to_array();
             let face = self.mesh.face_colors.get(triangle);
             for (column, &channel) in batch.columns.iter_mut().zip(&self.selected) {
+                if let Some(axis) = channel.checked_sub(colors) {
+                    column.push(normal[axis]);
+                    continue;
+                }
                 if let Some(color) = face {
                     column.push(color[channel].into());
                     continue;

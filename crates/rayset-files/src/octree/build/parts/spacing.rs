@@ -14,7 +14,7 @@ use super::super::neighbours::{FOR_DISTANCE, FOR_SHAPE};
 use super::super::pieces::{Assemble, Copy};
 use super::super::plan::Cell;
 use super::super::record::{RecordLayout, SHAPE_BYTES};
-use super::super::spacing::{Settling, stored};
+use super::super::spacing::{Settling, keep_shape, stored};
 use super::super::survey::{Merged, NO_RANGE, Settled, Survey};
 use super::super::typical::Measured;
 use super::divide::{self, Counted};
@@ -22,6 +22,7 @@ use super::exchange::{DataFile, Part};
 use super::job::Job;
 use super::step::BuildStep;
 use super::work::{self, Records, Sorting};
+use crate::octree::shape::StoredShape;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::container::record_hash;
 use rayset_store::output::OutputWriter;
@@ -242,6 +243,21 @@ fn put_measures(survey: &Survey, place: &OfPlace, to: &mut Vec<u8>) {
     }
 }
 
+/// Makes of a record the `whole` one, which has what was measured of it.
+fn with_measures(survey: &Survey, record: &[u8], measures: &[u8], whole: &mut Vec<u8>) {
+    let (radius, shape) = measures.split_at(measures.len().min(4));
+    whole.clear();
+    whole.extend_from_slice(&record[..POSITION]);
+    whole.extend_from_slice(radius);
+    // Records that bring shapes have them behind their positions.
+    let brings_shapes = survey.measures_shapes && survey.layout.has_shape;
+    whole.extend_from_slice(if brings_shapes { &[] } else { shape });
+    whole.extend_from_slice(&record[POSITION..]);
+    if brings_shapes {
+        keep_shape(whole, StoredShape::from_bytes(std::array::from_fn(|i| shape[i])), survey);
+    }
+}
+
 /// The checksum of the radii that a part has measured, and their counts.
 fn radii(part: &Part) -> Result<(u32, Measured), BuildError> {
     let numbers = divide::numbers(part, None)?;
@@ -300,10 +316,7 @@ pub(super) fn count(job: &Job<'_>, sorting: &Sorting) -> Result<(), BuildError> 
         output.write_all(record).map_err(|e| data.failed(e))
     };
     settle(job, &context, |record, measures| {
-        whole.clear();
-        whole.extend_from_slice(&record[..POSITION]);
-        whole.extend_from_slice(measures);
-        whole.extend_from_slice(&record[POSITION..]);
+        with_measures(survey, record, measures, &mut whole);
         if let Some(settling) = &mut settling {
             settling.settle(&mut whole);
         }
