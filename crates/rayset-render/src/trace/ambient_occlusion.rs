@@ -239,7 +239,7 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
         }
         // Depths are of samples, and differ by up to a step even on a plane. Were it not for this,
         // hard surfaces would have grain.
-        let nearest = depth - self.step;
+        let nearest = depth.min(self.deepest_beside(i64::from(x), i64::from(y))) - self.step;
         let left = (-TAKEN * self.strength * self.occlusion(i64::from(x), i64::from(y), nearest)).exp();
         let [red, green, blue] = self.background;
         // The background shines through undimmed.
@@ -250,6 +250,13 @@ impl<'s, S: BandSink + ?Sized> AmbientOcclusion<'s, S> {
             pixel[2] * left + blue * behind,
             pixel[3],
         ]
+    }
+
+    /// The greatest depth of the eight pixels beside one. Where all of them are nearer, a ray has
+    /// slipped between the points of a surface: that is no pit, which would be a black dot.
+    fn deepest_beside(&self, x: i64, y: i64) -> f32 {
+        let beside = LINES.into_iter().flat_map(|(i, j)| [(x + i, y + j), (x - i, y - j)]);
+        beside.filter_map(|(x, y)| self.depth(x, y)).fold(f32::NEG_INFINITY, f32::max)
     }
 
     /// What fraction of the surroundings hides the sky from a pixel, 0 to 1.

@@ -79,6 +79,38 @@ fn a_crease_and_what_is_behind_an_edge_are_darker_and_planes_are_not() {
 }
 
 #[test]
+fn a_single_pixel_that_is_deeper_than_all_around_it_is_no_pit() {
+    // A wall with a shaft of one pixel, and another of three pixels square, straight ahead.
+    let camera = Camera {
+        projection: Projection::Orthographic { height: f64::from(HEIGHT) },
+        ..Camera::look_at(DVec3::new(0.0, 0.0, 50.0), DVec3::ZERO, DVec3::Y, 0.8)
+    };
+    let block =
+        |size: DVec3, at: DVec3| solid(Form::Box { size }, [0.6; 3]).moved(DAffine3::from_translation(at));
+    let wall = block(DVec3::new(200.0, 200.0, 20.0), DVec3::new(0.0, 0.0, -10.0));
+    let shaft = block(DVec3::new(1.0, 1.0, 16.0), DVec3::new(-19.5, 0.5, 0.0));
+    let wide = block(DVec3::new(3.0, 3.0, 16.0), DVec3::new(20.5, 0.5, 0.0));
+    let drilled = Node::operator(Operator::Difference, [wall, shaft, wide]);
+    let scene = scene(drilled, vec![light(LightKind::Ambient, [1.0; 3], false)]);
+    let picture = |strength: f32| {
+        let session = Session::over(paged(&scene, 1 << 20), ExecSettings::default()).expect("a session");
+        let settings = RenderSettings { step: Step::Fixed(0.5), ..with(strength) };
+        let prepared = session.prepare(&scene, &settings).expect("a scene");
+        let view = prepared.view(&camera).expect("a view");
+        let mut picture = Picture::default();
+        view.render_bands(&whole(), u32::MAX, &CancelToken::new(), &mut picture).expect("a picture");
+        picture
+    };
+    let (bare, shaded) = (picture(0.0), picture(1.0));
+    let left = |x: u32, y: u32| {
+        let at = (y * WIDTH + x) as usize;
+        shaded.pixels[at][0] / bare.pixels[at][0]
+    };
+    assert!(left(20, 29) > 0.95, "the shaft of one pixel keeps {}", left(20, 29));
+    assert!(left(60, 29) < 0.9, "the wide one keeps {}", left(60, 29));
+}
+
+#[test]
 fn regions_and_bands_of_a_picture_with_ambient_occlusion_join_without_a_seam() {
     let (camera, settings) = (camera(false), with(1.5));
     let all = rendered(&settings, &camera, &whole(), u32::MAX);
