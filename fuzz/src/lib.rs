@@ -18,7 +18,7 @@ use rayset::octree::verify::Depth;
 use rayset::points::{self, MeshSource, PointBatch, PointSource, ReadOptions};
 use rayset::scene::{
     Camera, CloudObject, ColorRule, Compositing, GridObject, Kernel, Lighting, Node, OpacityRule,
-    RenderSettings, Samples, Scene, Shape, SplatFilter,
+    RenderSettings, Samples, Scene, Shape, SplatFilter, Step,
 };
 use rayset::scene_file::SceneFile;
 use rayset::trace::{ExecSettings, render_once};
@@ -117,8 +117,13 @@ fn pictures_of(cloud: Cloud) {
     if object.cloud.header().has_color {
         object.transfer.color = ColorRule::Points;
     }
+    let mean_radius = object.cloud.header().radius_mean;
     let splats = Scene { compositing: Compositing::Display, ..Scene::of_cloud(object) };
-    picture(&splats, &framing(&splats), &settings);
+    // Filtered splats are as wide as pixels, of which steps are to be a part, as the look makes them:
+    // seen from afar, a picture would take a million steps a pixel otherwise.
+    let pixel = 0.2 * splats.root.bounds().size().length();
+    let step = if pixel > mean_radius { Step::Fixed(0.05 * pixel) } else { settings.step };
+    picture(&splats, &framing(&splats), &RenderSettings { step, ..settings });
 }
 
 /// Volumes: builds a grid, and checks it.
