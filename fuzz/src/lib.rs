@@ -119,8 +119,8 @@ fn pictures_of(cloud: Cloud) {
     }
     let mean_radius = object.cloud.header().radius_mean;
     let splats = Scene { compositing: Compositing::Display, ..Scene::of_cloud(object) };
-    // Filtered splats are as wide as pixels, of which steps are to be a part, as the look makes them:
-    // seen from afar, a picture would take a million steps a pixel otherwise.
+    // Filtered splats are as wide as pixels, of which steps are to be a part, as the look makes
+    // them: seen from afar, a picture would take a million steps a pixel otherwise.
     let pixel = 0.2 * splats.root.bounds().size().length();
     let step = if pixel > mean_radius { Step::Fixed(0.05 * pixel) } else { settings.step };
     picture(&splats, &framing(&splats), &RenderSettings { step, ..settings });

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
+use super::bounded_json;
 use crate::points::{Place, ReadError};
 use rayset_base::geometry::{DAffine3, DMat3, DQuat, DVec3};
 use rayset_store::storage::input_file::InputFile;
@@ -193,7 +194,7 @@ fn json_of(path: &Path) -> Result<(Value, Option<(u64, u64)>), ReadError> {
     file.seek(SeekFrom::Start(start)).map_err(io)?;
     let mut text = Vec::new();
     (&mut file).take(bytes).read_to_end(&mut text).map_err(io)?;
-    let json = serde_json::from_slice(&text)
+    let json = bounded_json::parse(&text)
         .map_err(|error| fail(start, format!("not the JSON of glTF: {error}")))?;
     let mut next = [0; 8];
     if !is_binary || file.read_exact(&mut next).is_err() {

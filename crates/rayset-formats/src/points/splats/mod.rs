@@ -1,6 +1,7 @@
 //! Gaussian splats: INRIA's PLY, PlayCanvas's compressed PLY, SPZ, glTF, SOG, `.splat` and
 //! `.ksplat`.
 
+mod bounded_json;
 mod compressed_ply;
 mod gaussian;
 mod gltf;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use image_webp::WebPDecoder;
 use serde_json::Value;
 
+use super::bounded_json;
 use super::sog_meta::{Meta, MetaHarmonics};
 use crate::array_file::{Fault, Member, members};
 use crate::points::{Place, ReadError, quiet};
@@ -97,7 +98,7 @@ impl Parts {
             Self::Archive(..) => META.to_owned(),
         };
         let (text, at) = self.read(&name, MOST_JSON)?;
-        serde_json::from_slice(&text).map_err(|error| {
+        bounded_json::parse(&text).map_err(|error| {
             ReadError::malformed(self.path(), Place::Byte(at), format!("not the JSON of SOG: {error}"))
         })
     }
