@@ -13,18 +13,24 @@ from . import _native
 
 #: Names of columns that mean something by themselves, and have arguments of their own.
 OWN = ("radius", "weight", "red", "green", "blue")
+#: Columns of the shapes of points.
+SEMI_AXES = ("semi_axis_1", "semi_axis_2", "semi_axis_3")
+ROTATION = ("rotation_x", "rotation_y", "rotation_z", "rotation_w")
+#: Columns of the normals of points.
+NORMAL = ("nx", "ny", "nz")
 #: Types of columns that are read as they are.
 _READ = {np.dtype(name) for name in ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")}
 
 
 @dataclass
 class Column:
-    """A column: its name, its numbers, its unit, whether they are labels of classes."""
+    """A column: its name, its numbers, its unit, whether they are labels of classes, and whether it may be kept as an attribute."""
 
     name: str
     values: NDArray[Any]
     unit: str = ""
     is_class: bool = False
+    is_attribute: bool = True
 
     def named(self) -> dict[str, Any]:
         """What the engine is told of it besides its numbers."""
@@ -130,6 +136,55 @@ def colors(value: Any, count: int) -> list[Column]:
             raise ValueError(f"color: whole numbers are from 0 to 255, and these are from {low} to {high}; use uint16 for 0 to 65535")
         array = array.astype(np.uint8)
     return [Column(name, array[:, k]) for k, name in enumerate(("red", "green", "blue"))]
+
+
+def shapes(shape: Any, count: int) -> tuple[list[Column], NDArray[Any]]:
+    """Columns of the shapes of points, by matrices or by semi-axes and quaternions; and the longest semi-axis of each."""
+    if isinstance(shape, tuple) and len(shape) == 2:
+        lengths, rotations = (np.asarray(part) for part in shape)
+        if lengths.shape != (count, 3) or rotations.shape != (count, 4):
+            found = f"{lengths.shape} and {rotations.shape}"
+            raise ValueError(f"shape: expected {count} rows of three semi-axes, and {count} of quaternions (x, y, z, w), and got the shapes {found}")
+    else:
+        matrices = np.asarray(shape)
+        if matrices.shape != (count, 3, 3):
+            expected = f'"auto", "fluid", "round", an array of {count} matrices of 3 by 3, or a pair of semi-axes and quaternions'
+            raise ValueError(f"shape: expected {expected}, and got the shape {matrices.shape}")
+        lengths, rotations = _ellipsoids(matrices)
+    if lengths.dtype.kind not in "buif" or rotations.dtype.kind not in "buif":
+        raise TypeError(f"shape: an array of {lengths.dtype} and {rotations.dtype} is not of numbers")
+    names, values = SEMI_AXES + ROTATION, np.hstack([lengths, rotations]).astype(np.float64)
+    return [Column(name, values[:, k], is_attribute=False) for k, name in enumerate(names)], lengths.max(axis=1).astype(np.float64)
+
+
+def _ellipsoids(matrices: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Semi-axes and quaternions of the ellipsoids to which matrices take the unit ball; NaN of what is none."""
+    lengths = np.full((len(matrices), 3), np.nan)
+    rotations = np.full((len(matrices), 4), np.nan)
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    if not finite.any():
+        return lengths, rotations
+    axes, lengths[finite], _ = np.linalg.svd(matrices[finite].astype(np.float64))
+    axes[np.linalg.det(axes) < 0, :, 2] *= -1  # a rotation, not a reflection: either end of an axis is as good
+    # The quaternion's largest component first, by which the others are divided.
+    x, y, z = (axes[:, k, k] for k in range(3))
+    squares = np.stack([1 + x - y - z, 1 - x + y - z, 1 - x - y + z, 1 + x + y + z], axis=1)
+    sums = np.zeros((len(axes), 4, 4))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        sums[:, i, j] = sums[:, j, i] = axes[:, i, j] + axes[:, j, i]
+        sums[:, 3, k] = sums[:, k, 3] = axes[:, j, i] - axes[:, i, j]
+    sums[:, range(4), range(4)] = squares
+    rows = np.take_along_axis(sums, squares.argmax(axis=1)[:, None, None], axis=1)[:, 0]
+    rotations[finite] = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    return lengths, rotations
+
+
+def normals(values: Any, count: int) -> list[Column]:
+    """Columns of the normals of points."""
+    array = np.asarray(values)
+    if array.shape != (count, 3):
+        raise ValueError(f"normals: expected {count} rows of three numbers, and got the shape {array.shape}")
+    return [Column(name, column(array[:, k], "normals", count), is_attribute=False) for k, name in enumerate(NORMAL)]
 
 
 def gather(

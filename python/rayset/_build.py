@@ -33,7 +33,8 @@ def build(
     progress: Progress = False,
     invalid: str = "skip",
     precision: float | str | None = None,
-    shape: str = "auto",
+    shape: Any = "auto",
+    normals: Any = None,
     radius_scale: float = 1.0,
     length_scale: float = 1.0,
     temp_dir: _arguments.PathLike | None = None,
@@ -77,7 +78,13 @@ def build(
         stored are an error. ``"skip-all"`` leaves these out, too; ``"raise"`` makes an error of the first.
     shape
         ``"auto"``: where radii are measured, points are discs on surfaces, rods along wires and small balls where they are scattered, or
-        discs across their normals, if there are columns ``nx``, ``ny`` and ``nz``, or an array ``normals``; and columns ``semi_axis_1`` to ``semi_axis_3`` and ``rotation_x`` to ``rotation_w`` make ellipsoids. ``"round"``: all points are balls.
+        discs across their normals, if they have any; and columns ``semi_axis_1`` to ``semi_axis_3`` and ``rotation_x`` to ``rotation_w``
+        make ellipsoids. ``"fluid"``: particles of a liquid, whose radii are measured, are flat along its surface, after Yu & Turk (2013).
+        ``"round"``: all points are balls.
+        Or ellipsoids, of arrays: N matrices of 3 × 3, each of which takes the unit ball to its ellipsoid (of a covariance, its square
+        root); or a pair of N × 3 semi-axes and N × 4 quaternions ``x, y, z, w``. Their longest semi-axis is the `radius`, unless that is given.
+    normals
+        N rows of three numbers, of arrays: which way the surface faces at each point. They are not kept.
     radius_scale, length_scale
         Factors of all radii; of all coordinates and radii.
     precision
@@ -96,8 +103,11 @@ def build(
     """
     if invalid not in ("skip", "skip-all", "raise"):
         raise ValueError(f"invalid={invalid!r}: expected \"skip\", \"skip-all\" or \"raise\"")
-    if shape not in ("auto", "round"):
-        raise ValueError(f"shape={shape!r}: expected \"auto\" or \"round\"")
+    if isinstance(shape, str) and shape not in ("auto", "fluid", "round"):
+        raise ValueError(f"shape={shape!r}: expected \"auto\", \"fluid\", \"round\" or arrays")
+    if isinstance(shape, str) and shape == "fluid" and radius is not None and not isinstance(radius, str):
+        raise ValueError("shape=\"fluid\": radii are measured; give none, and radius_scale if need be")
+    has_arrays = not isinstance(shape, str) or normals is not None
     if isinstance(classes, str):
         raise TypeError(f"classes={classes!r}: expected a list of names, as in [{classes!r}]")
     is_of_files = _points.are_files(positions)
@@ -105,16 +115,20 @@ def build(
     radii, weights = None, None
     if is_of_files:
         rule, constant = _points.rule(radius, "radius"), _points.rule(weight, "weight")
+        if has_arrays:
+            raise TypeError("shape and normals of arrays are for points of arrays; files bring columns")
     else:
         rule, radii = _rule(radius, "radius", _arrays.unit_of(positions))
         constant, weights = _rule(weight, "weight", None)
+        if has_arrays and isinstance(positions, Iterator):
+            raise TypeError("chunks bring their own shapes and normals: columns semi_axis_1 to rotation_w, or nx, ny and nz")
         if columns is not None:
             raise TypeError("columns: for files; arrays have the names by which they are given")
     options = {
         "path": None if path is None else _arguments.file(path, "path"),
         "radius": rule,
         "weight": constant,
-        "shape": shape,
+        "shape": shape if isinstance(shape, str) else "auto",
         "radius_scale": _arguments.number(radius_scale, "radius_scale", 1e-18),
         "length_scale": _arguments.number(length_scale, "length_scale", 1e-300, 1e300),
         "invalid": invalid,
@@ -134,7 +148,13 @@ def build(
             built, skipped = _from_chunks(positions, names, options, told)
         else:
             gathered = _gathered(positions, radii, weights, color, attributes, names)
-            options["attributes"] = [one.name for one in gathered.columns if one.name not in _arrays.OWN]
+            if not isinstance(shape, str):
+                of_shape, longest = _arrays.shapes(shape, len(gathered.positions))
+                has_radius = rule is not None or any(one.name == "radius" for one in gathered.columns)
+                gathered.columns += of_shape + ([] if has_radius else [_arrays.Column("radius", longest)])
+            if normals is not None:
+                gathered.columns += _arrays.normals(normals, len(gathered.positions))
+            options["attributes"] = [one.name for one in gathered.columns if one.is_attribute and one.name not in _arrays.OWN]
             if executor is not None:
                 from ._executor import builds
 

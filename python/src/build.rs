@@ -76,7 +76,11 @@ impl Options {
             .with_radius(self.radius.as_ref().map(RuleArgument::rule))
             .with_weight(self.weight.as_ref().map(RuleArgument::rule))
             .with_radius_scale(self.radius_scale)
-            .with_shape(if self.shape == "round" { ShapeRule::Round } else { ShapeRule::Auto })
+            .with_shape(match self.shape.as_str() {
+                "round" => ShapeRule::Round,
+                "fluid" => ShapeRule::Fluid,
+                _ => ShapeRule::Auto,
+            })
             .with_length_scale(self.length_scale)
             .with_attributes(self.attributes.clone())
             .with_invalid(match self.invalid.as_str() {

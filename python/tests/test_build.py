@@ -206,3 +206,52 @@ def test_a_damaged_file_of_a_folder_is_left_out_and_said(tmp_path: Path, caplog:
         assert any("left out 1 of 2 files as damaged" in record.message and "torn.ply" in record.message for record in caplog.records)
     with pytest.raises(rs.RaysetError, match="torn.ply"):
         rs.build([str(tmp_path / "tiles" / "a.ply"), str(tmp_path / "tiles" / "torn.ply")])
+
+
+def _ellipsoids(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, semi-axes, quaternions, and the matrices that take the unit ball to the ellipsoids."""
+    random = np.random.default_rng(8)
+    lengths = random.uniform(0.05, 0.5, (count, 3))
+    q = random.normal(size=(count, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    x, y, z, w = q.T
+    turns = np.stack([
+        1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+        2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+        2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+    ], axis=1).reshape(count, 3, 3)
+    return random.uniform(0, 3, (count, 3)), lengths, q, turns * lengths[:, None, :]
+
+
+def test_shapes_are_those_of_matrices_or_of_semi_axes_and_quaternions() -> None:
+    where, lengths, quaternions, matrices = _ellipsoids(60)
+    roots = matrices @ (matrices / lengths[:, None, :]).transpose(0, 2, 1)  # symmetric: the same ellipsoids
+    assert np.allclose(roots, roots.transpose(0, 2, 1))
+
+    def picture(cloud: rs.Cloud) -> np.ndarray:
+        return np.asarray(rs.render(cloud, size=(96, 64), samples=1)).astype(int)
+
+    expected = picture(rs.build(where, shape=(lengths, quaternions)))
+    assert expected.std() > 5
+    for shape in (matrices, roots, matrices.astype("f4"), (lengths * 1.0, -quaternions)):
+        assert np.abs(picture(rs.build(where, shape=shape)) - expected).max() <= 2
+    assert np.abs(picture(rs.build(where, radius=lengths.max(axis=1))) - expected).max() > 20
+    twice = rs.build(where, shape=matrices, radius=2 * lengths.max(axis=1))
+    assert np.abs(picture(twice) - picture(rs.build(where, shape=2 * matrices))).max() <= 2
+    with pytest.warns(rs.RaysetWarning, match="skipped 1 points"):
+        rs.build(where, shape=np.where(np.arange(60)[:, None, None] == 7, np.nan, matrices))
+
+
+def test_normals_turn_discs_and_are_not_kept() -> None:
+    where = points(COUNT)
+    cloud = rs.build(where, normals=np.broadcast_to([0.0, 0.0, 1.0], where.shape), attributes={"T": where[:, 0]})
+    assert cloud.identity != rs.build(where, attributes={"T": where[:, 0]}).identity
+    assert list(cloud.attributes) == ["T"]
+
+
+def test_shapes_of_a_fluid_are_measured() -> None:
+    where = points(COUNT)
+    assert rs.build(where, shape="fluid").identity != rs.build(where).identity
+    for wrong in ({"shape": "disc"}, {"shape": np.eye(3)}, {"shape": "fluid", "radius": where[:, 0]}, {"normals": where[:5]}):
+        with pytest.raises(ValueError, match="shape|normals"):
+            rs.build(where, **wrong)

@@ -37,8 +37,8 @@ options! {
         /// the column `radius` where there is one, else auto
         radius: String = Text;
         /// Shapes of points: `auto`, by which points whose radii are measured are discs on
-        /// surfaces, rods along wires and small balls where they are scattered; or `round`. By
-        /// default auto
+        /// surfaces, rods along wires and small balls where they are scattered; `fluid` for
+        /// particles of a liquid, which are flat along its surface; or `round`. By default auto
         shape: String = Checked(shape);
         /// Weight: a number or a column. By default the column `weight` where there is one, else 1
         weight: String = Text;
@@ -56,8 +56,11 @@ options! {
 /// Checks the shapes of points.
 fn shape(text: &str) -> Result<(), String> {
     match text {
-        "auto" | "round" => Ok(()),
-        _ => Err(format!("`{}` is no shape of points; expected `auto` or `round`", text.escape_debug())),
+        "auto" | "round" | "fluid" => Ok(()),
+        _ => {
+            let text = text.escape_debug();
+            Err(format!("`{text}` is no shape of points; expected `auto`, `round` or `fluid`"))
+        }
     }
 }
 
@@ -98,9 +101,11 @@ impl BuildChoices {
         if let Some(weight) = &self.weight {
             options = options.with_weight(Some(values::rule(weight)?));
         }
-        if self.shape.as_deref() == Some("round") {
-            options = options.with_shape(ShapeRule::Round);
-        }
+        options = options.with_shape(match self.shape.as_deref() {
+            Some("round") => ShapeRule::Round,
+            Some("fluid") => ShapeRule::Fluid,
+            _ => ShapeRule::Auto,
+        });
         Ok(options.with_length_scale(self.length_scale.unwrap_or(1.0)))
     }
 

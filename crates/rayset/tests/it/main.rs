@@ -24,6 +24,7 @@ mod ellipsoids;
 mod figures;
 mod fixture;
 mod fixtures;
+mod fluids;
 mod format;
 mod gadget;
 mod gltf;

@@ -4,6 +4,7 @@ use super::depths::Depths;
 use super::error::BuildError;
 use super::options::{BuildOptions, Rule, ShapeRule};
 use super::record::RecordLayout;
+use super::shapes_of::ShapesOf;
 use crate::octree::format::NAME_BYTES;
 use crate::points::{ColumnInfo, ColumnType, PointSource, ROUND_RADIUS, Schema, ShapeOrigin};
 
@@ -16,9 +17,9 @@ pub(super) struct Columns {
     pub(super) radius: Option<usize>,
     pub(super) weight: Option<usize>,
     pub(super) attributes: Vec<usize>,
-    /// Whether shapes are measured, with the radii. Those that records have then are discs by their
+    /// What shapes are measured of, with the radii. Those that records have then are discs by their
     /// normals, which are kept, or balls for lack of one, which are not.
-    pub(super) measures_shapes: bool,
+    pub(super) shapes_of: ShapesOf,
     /// The attributes, each of the common type of all sources.
     pub(super) infos: Vec<ColumnInfo>,
 }
@@ -55,6 +56,7 @@ pub(super) struct ColorOrigin {
 pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Rule {
     match &options.radius {
         Some(rule) => rule.clone(),
+        None if options.shape == ShapeRule::Fluid => Rule::Auto,
         None if options.shape == ShapeRule::Round && all_have(sources, ROUND_RADIUS) => {
             Rule::Attribute(ROUND_RADIUS.into())
         }
@@ -99,11 +101,15 @@ impl Columns {
         let degrees = sources.iter().map(|source| source.schema().harmonics().0);
         let degree = degrees.max().filter(|_| has_color).unwrap_or(0);
         let of_any = |of: fn(&Schema) -> Option<ShapeOrigin>| {
-            options.shape != ShapeRule::Round && sources.iter().any(|source| of(source.schema()).is_some())
+            options.shape == ShapeRule::Auto && sources.iter().any(|source| of(source.schema()).is_some())
         };
         let has_axes = of_any(Schema::axes_of_shapes);
-        let measures_shapes = is_auto && options.shape != ShapeRule::Round && !has_axes;
-        let has_normals = measures_shapes && of_any(Schema::normals);
+        let shapes_of = match options.shape {
+            ShapeRule::Auto if is_auto && !has_axes => ShapesOf::Surfaces,
+            ShapeRule::Fluid if is_auto => ShapesOf::Fluid,
+            _ => ShapesOf::Nothing,
+        };
+        let has_normals = shapes_of == ShapesOf::Surfaces && of_any(Schema::normals);
         let attributes: Vec<usize> = options.attributes.iter().map(|name| place(name)).collect();
         for (input, source) in sources.iter().enumerate() {
             if let Some(name) = names.iter().find(|name| source.schema().find(name).is_none()) {
@@ -121,7 +127,7 @@ impl Columns {
             harmonics: degree,
             attributes: infos.iter().map(|info| info.kind).collect(),
         };
-        Ok(Self { layout, names, radius, weight, attributes, measures_shapes, infos })
+        Ok(Self { layout, names, radius, weight, attributes, shapes_of, infos })
     }
 
     /// The columns to select of source `input`. Those in `names` come first, in their order.
@@ -132,7 +138,7 @@ impl Columns {
             selected.len() - 1
         };
         let shape = match self.layout.has_shape {
-            true if self.measures_shapes => schema.normals(),
+            true if self.shapes_of.are_measured() => schema.normals(),
             true => schema.axes_of_shapes(),
             false => None,
         };

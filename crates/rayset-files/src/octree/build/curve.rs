@@ -11,9 +11,10 @@ use super::context::Context;
 use super::control::Stage;
 use super::error::BuildError;
 use super::neighbourhood::{OfPlace, Suggested};
-use super::neighbours::{STRETCH, Search, Stretches, square_between};
+use super::neighbours::{FOR_DISTANCE, FOR_FLUID, FOR_SHAPE, STRETCH, Search, Stretches, square_between};
 use super::pipeline;
 use super::record::{self, KeyMaker};
+use super::shapes_of::ShapesOf;
 use super::typical::Measured;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::spill::Spill;
@@ -210,6 +211,7 @@ pub(super) struct Curve<'a> {
     pub(super) stride: usize,
     pub(super) crowds: Vec<Crowd>,
     pub(super) boxes: Boxes,
+    pub(super) shapes_of: ShapesOf,
 }
 
 /// Crowds and what lies between them, within a range, of blocks of at most `block` records; and the
@@ -236,10 +238,26 @@ fn sections(crowds: &[Crowd], range: &Range<u64>, block: u64) -> (Vec<Section>, 
 }
 
 impl Curve<'_> {
-    /// Measures what the neighbours of the records of a range suggest, of which `LEN` are looked
-    /// for. `store` is given that of some records, by any thread; then `pass` is, in the order of
-    /// the curve. No crowd may be partly in the range.
-    pub(super) fn measure<const LEN: usize>(
+    /// Measures what the neighbours of the records of a range suggest. `store` is given that of
+    /// some records, by any thread; then `pass` is, in the order of the curve. No crowd may be
+    /// partly in the range.
+    pub(super) fn measure(
+        &self,
+        context: &Context<'_>,
+        scale: f64,
+        range: &Range<u64>,
+        store: impl Fn(&Range<u64>, &[OfPlace]) -> Result<(), BuildError> + Sync,
+        pass: impl FnMut(&[OfPlace]) -> Result<(), BuildError>,
+    ) -> Result<Measured, BuildError> {
+        match self.shapes_of {
+            ShapesOf::Nothing => self.measure_by::<FOR_DISTANCE>(context, scale, range, store, pass),
+            ShapesOf::Surfaces => self.measure_by::<FOR_SHAPE>(context, scale, range, store, pass),
+            ShapesOf::Fluid => self.measure_by::<FOR_FLUID>(context, scale, range, store, pass),
+        }
+    }
+
+    /// The same by `LEN` neighbours.
+    fn measure_by<const LEN: usize>(
         &self,
         context: &Context<'_>,
         scale: f64,
@@ -317,8 +335,8 @@ impl Curve<'_> {
         let radius = |distance: f64| {
             if distance.is_finite() { RADII_PER_DISTANCE * scale * distance } else { 0.0 }
         };
-        let suggested =
-            search.neighbours().map(|near| near.map_or(Suggested::NOTHING, Suggested::by_neighbours));
+        let suggest = |near: &[[f32; 3]]| self.shapes_of.by_neighbours(near);
+        let suggested = search.neighbours().map(|near| near.map_or(Suggested::NOTHING, suggest));
         let of_place = |(distance, suggested)| OfPlace { radius: radius(distance), suggested };
         let mut of_places: Vec<OfPlace> = search.distances().zip(suggested).map(of_place).collect();
         let of_records = place_of_record.into_iter().map(|place| of_places[place as usize]).collect();

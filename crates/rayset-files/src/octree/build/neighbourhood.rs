@@ -49,21 +49,9 @@ impl Suggested {
 
     /// By the vectors from a point to its neighbours, itself included.
     pub(super) fn by_neighbours(offsets: &[[f32; 3]]) -> Self {
-        let offsets = || offsets.iter().map(|offset| DVec3::from_array(offset.map(f64::from)));
-        let count = offsets().count() as f64;
-        let mean = offsets().sum::<DVec3>() / count;
-        let mut covariance = DMat3::ZERO;
-        for offset in offsets() {
-            let v = offset - mean;
-            covariance += DMat3::from_cols(v * v.x, v * v.y, v * v.z);
-        }
-        // Relative to the trace, so that squares of squares stay in the range of numbers.
-        let trace = covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z;
-        if !(trace > f64::MIN_POSITIVE && trace.is_finite()) {
-            return Self::NOTHING;
-        }
-        let (squares, axes) = eigenvectors(&(covariance * (1.0 / trace)));
-        let deviations = squares.max(DVec3::ZERO).to_array().map(f64::sqrt);
+        let offsets = offsets.iter().map(|offset| (1.0, DVec3::from_array(offset.map(f64::from))));
+        let Some((variances, axes)) = covariance(offsets) else { return Self::NOTHING };
+        let deviations = variances.to_array().map(f64::sqrt);
         Self::by_deviations(deviations, DQuat::from_mat3(&axes).normalize())
     }
 
@@ -77,6 +65,25 @@ impl Suggested {
         let shape = StoredShape::encode(&Shape { rotation, ratios });
         Self { shape, is_flat: flat <= OF_SURFACE || wide < 1.0 }
     }
+}
+
+/// The variances of weighted places about their mean along three axes, the largest first, as parts
+/// of their sum; and the axes. `None` if they are all in one place, or too far apart for numbers.
+pub(super) fn covariance(places: impl Iterator<Item = (f64, DVec3)> + Clone) -> Option<(DVec3, DMat3)> {
+    let whole: f64 = places.clone().map(|(weight, _)| weight).sum();
+    let mean = places.clone().map(|(weight, place)| place * weight).sum::<DVec3>() / whole;
+    let mut covariance = DMat3::ZERO;
+    for (weight, place) in places {
+        let v = place - mean;
+        covariance += DMat3::from_cols(v * v.x, v * v.y, v * v.z) * weight;
+    }
+    // Relative to the trace, so that squares of squares stay in the range of numbers.
+    let trace = covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z;
+    if !(trace > f64::MIN_POSITIVE && trace.is_finite()) {
+        return None;
+    }
+    let (variances, axes) = eigenvectors(&(covariance * (1.0 / trace)));
+    Some((variances.max(DVec3::ZERO), axes))
 }
 
 /// The disc that faces along a normal of any length; `None` if that has no direction.

@@ -15,6 +15,8 @@ pub(super) const NEIGHBOUR: usize = 8;
 pub(super) const FOR_DISTANCE: usize = NEIGHBOUR + 1;
 /// Those where it is also asked where they lie.
 pub(super) const FOR_SHAPE: usize = 17;
+/// The same of a fluid, which has neighbours on all sides.
+pub(super) const FOR_FLUID: usize = 33;
 
 /// The nearest `LEN` points to one that have been found so far, itself included, the nearest first.
 /// Of equally near ones those with smaller coordinates come first, if it is asked where they lie:

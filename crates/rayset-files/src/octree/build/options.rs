@@ -33,6 +33,10 @@ pub enum ShapeRule {
     Auto,
     /// Balls, whatever the inputs say.
     Round,
+    /// Those of particles of a fluid, whose radii are measured: flat along its surface, balls
+    /// inside, after Yu & Turk (2013). Radii are measured unless a rule says otherwise, which is an
+    /// error.
+    Fluid,
 }
 
 /// What to do with records whose position, radius or weight cannot be used.
@@ -232,6 +236,11 @@ pub(super) fn check_options(
         if !(scale > 0.0 && scale.is_finite()) {
             return wrong(option, format!("{scale} is not a positive number"));
         }
+    }
+    if options.shape == ShapeRule::Fluid && !matches!(options.radius, None | Some(Rule::Auto)) {
+        let what =
+            "shapes of a fluid are measured with the radii: give no radius, and a radius scale if need be";
+        return wrong("shape", what.into());
     }
     match options.radius {
         Some(Rule::Number(r)) if !(1e-18..=1e18).contains(&(r * options.radius_scale)) => {

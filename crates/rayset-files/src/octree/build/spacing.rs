@@ -20,12 +20,12 @@ use super::curve::{Boxes, Curve, GRAIN, Sketch, most_boxes};
 use super::error::BuildError;
 use super::ingest::Ingested;
 use super::neighbourhood::OfPlace;
-use super::neighbours::{FOR_DISTANCE, FOR_SHAPE};
 use super::partition::Partition;
 use super::pieces::{Assemble, Copy};
 use super::plan::Cell;
 use super::record::{self, SHAPE_BYTES};
 use super::region::Region;
+use super::shapes_of::ShapesOf;
 use super::survey::{LIMIT, Settled, Survey};
 use super::typical::{Measured, Typical};
 use crate::octree::shape::StoredShape;
@@ -47,7 +47,7 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
         sketch: Sketch::new(keys, GRAIN, most_boxes(context.options.memory_bytes)),
         writer: SpillWriter::new(context.spill()?, 1 << 20),
         stride,
-        room: survey.layout.with_measures(survey.measures_shapes).stride() - stride,
+        room: survey.layout.with_measures(survey.shapes_of.are_measured()).stride() - stride,
     };
     partition.run(Region::all(&spill, survey.count), &Copy, &mut writer)?;
     drop(spill);
@@ -57,16 +57,13 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
     let spill = writer.finish().map_err(context.io("write temporary files in"))?;
     let mut boxes = Boxes::default();
     boxes.push(&sketch.boxes, sketch.grain, sketch.count);
-    let layout = survey.layout.with_measures(survey.measures_shapes);
-    let curve = Curve { spill: &spill, stride: layout.stride(), crowds: sketch.crowds, boxes };
+    let layout = survey.layout.with_measures(survey.shapes_of.are_measured());
+    let shapes_of = survey.shapes_of;
+    let curve = Curve { spill: &spill, stride: layout.stride(), crowds: sketch.crowds, boxes, shapes_of };
     let store =
         |block: &std::ops::Range<u64>, places: &[OfPlace]| store(context, &curve, &survey, block, places);
     let (scale, all) = (survey.auto_scale, 0..survey.count);
-    let measured = if survey.measures_shapes {
-        curve.measure::<FOR_SHAPE>(context, scale, &all, store, |_| Ok(()))?
-    } else {
-        curve.measure::<FOR_DISTANCE>(context, scale, &all, store, |_| Ok(()))?
-    };
+    let measured = curve.measure(context, scale, &all, store, |_| Ok(()))?;
     measured.check_range(context.options.length_scale, &survey)?;
     let settled = settle(context, &curve, &survey, &measured)?;
     let measured = Ingested { spill, survey: survey.with_measures(settled) };
@@ -132,7 +129,7 @@ fn store(
     curve.read(context, block, &mut bytes)?;
     for (record, place) in bytes.chunks_exact_mut(curve.stride).zip(places) {
         record[POSITION..HEAD].copy_from_slice(&stored(place.radius).to_le_bytes());
-        if survey.measures_shapes {
+        if survey.shapes_of.are_measured() {
             keep_shape(record, place.suggested.shape, survey);
         }
     }
@@ -179,8 +176,9 @@ fn settle(
 /// none is known, or one beyond the limit; and no shapes in a cloud without surfaces.
 pub(super) struct Settling {
     typical: Typical,
-    measures_shapes: bool,
-    has_surfaces: bool,
+    shapes_of: ShapesOf,
+    /// Whether what was measured is kept.
+    keeps_shapes: bool,
     /// What is known of the records so far.
     pub(super) settled: Settled,
 }
@@ -189,15 +187,15 @@ impl Settling {
     pub(super) fn new(survey: &Survey, measured: &Measured) -> Self {
         Self {
             typical: measured.typical(survey),
-            measures_shapes: survey.measures_shapes,
-            has_surfaces: measured.has_surfaces(survey.normals),
+            shapes_of: survey.shapes_of,
+            keeps_shapes: survey.shapes_of == ShapesOf::Fluid || measured.has_surfaces(survey.normals),
             settled: Settled::NONE,
         }
     }
 
     /// What is known of all records if they keep what was measured.
     fn as_measured(&self, measured: &Measured) -> Option<Settled> {
-        let radius_range = measured.unchanged(&self.typical).filter(|_| !self.measures_shapes)?;
+        let radius_range = measured.unchanged(&self.typical).filter(|_| !self.shapes_of.are_measured())?;
         Some(Settled { radius_range, has_shapes: false })
     }
 
@@ -206,10 +204,10 @@ impl Settling {
     pub(super) fn settle(&mut self, record: &mut [u8]) -> bool {
         let measured = record::radius(record);
         let (mut radius, mut shape) = (self.typical.settled(measured), StoredShape::BALL);
-        if self.measures_shapes {
+        if self.shapes_of.are_measured() {
             let measured_shape = record::shape(record, HEAD);
-            if self.has_surfaces {
-                (radius, shape) = self.typical.settled_with_shape(measured, measured_shape);
+            if self.keeps_shapes {
+                (radius, shape) = self.typical.settled_with_shape(measured, measured_shape, self.shapes_of);
             }
             record[HEAD..HEAD + SHAPE_BYTES].copy_from_slice(&shape.to_bytes());
         }
@@ -217,6 +215,6 @@ impl Settling {
         let range = &mut self.settled.radius_range;
         *range = (range.0.min(radius), range.1.max(radius));
         self.settled.has_shapes |= shape != StoredShape::BALL;
-        self.measures_shapes || radius != measured
+        self.shapes_of.are_measured() || radius != measured
     }
 }

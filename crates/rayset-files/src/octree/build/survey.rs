@@ -10,6 +10,7 @@ use super::distinct::Distinct;
 use super::error::{BuildError, Quantity, Skipped};
 use super::options::{BuildOptions, InvalidPolicy, Rule};
 use super::record::{self, KeyMaker, RecordLayout};
+use super::shapes_of::ShapesOf;
 use crate::octree::format::{AttributeInfo, Column};
 use crate::octree::harmonics::stored_bytes;
 use crate::octree::layout::{ColumnLayout, RootCell};
@@ -31,8 +32,8 @@ pub(super) struct Form {
     pub(super) radius: Option<f32>,
     /// Scale factor for radii that are still to be measured.
     pub(super) auto_scale: f64,
-    /// Whether shapes are still to be measured, with the radii.
-    pub(super) measures_shapes: bool,
+    /// What shapes are still to be measured of, with the radii.
+    pub(super) shapes_of: ShapesOf,
     pub(super) weight: f32,
     /// Everything besides the records on which pages depend.
     pub(super) pages_depend_on: String,
@@ -52,7 +53,7 @@ impl Form {
             attributes: columns.infos.clone(),
             radius: if let Rule::Number(r) = radius { Some((r * options.radius_scale) as f32) } else { None },
             auto_scale: options.radius_scale,
-            measures_shapes: columns.measures_shapes,
+            shapes_of: columns.shapes_of,
             weight: if let Rule::Number(w) = weight { (w * options.weight_scale) as f32 } else { 1.0 },
             pages_depend_on: pages_depend_on(options, &radius, &weight, &columns),
             metadata: describe(sources, options.length_scale),
@@ -65,6 +66,9 @@ impl Form {
 /// identity.
 const AUTO_RADII: &str = ", 0.85 of the eighth neighbour";
 
+/// The same of the shapes of a fluid.
+const FLUID_SHAPES: &str = ", shapes of a fluid by thirty-two";
+
 /// The same of automatic shapes, without normals and with them.
 const AUTO_SHAPES: &str = ", shapes by sixteen";
 const SHAPES_BY_NORMALS: &str = ", shapes by normals or sixteen";
@@ -73,11 +77,12 @@ const SHAPES_BY_NORMALS: &str = ", shapes by normals or sixteen";
 /// different identities.
 fn pages_depend_on(options: &BuildOptions, radius: &Rule, weight: &Rule, columns: &Columns) -> String {
     let definition = if *radius == Rule::Auto { AUTO_RADII } else { "" };
-    let shapes = match (columns.layout.has_shape, columns.measures_shapes) {
-        (true, true) => SHAPES_BY_NORMALS,
-        (true, false) => " shapes",
-        (false, true) => AUTO_SHAPES,
-        (false, false) => "",
+    let shapes = match (columns.layout.has_shape, columns.shapes_of) {
+        (_, ShapesOf::Fluid) => FLUID_SHAPES,
+        (true, ShapesOf::Surfaces) => SHAPES_BY_NORMALS,
+        (true, ShapesOf::Nothing) => " shapes",
+        (false, ShapesOf::Surfaces) => AUTO_SHAPES,
+        (false, ShapesOf::Nothing) => "",
     };
     let harmonics = match columns.layout.harmonics {
         0 => String::new(),
@@ -277,8 +282,8 @@ pub(super) struct Survey {
     pub(super) radius_range: (f32, f32),
     /// Scale factor for radii that are still to be measured.
     pub(super) auto_scale: f64,
-    /// Whether shapes are still to be measured, with the radii.
-    pub(super) measures_shapes: bool,
+    /// What shapes are still to be measured of, with the radii.
+    pub(super) shapes_of: ShapesOf,
     /// Records that are discs by their normals, if shapes are measured.
     pub(super) normals: u64,
     pub(super) weight: f32,
@@ -304,11 +309,11 @@ impl Survey {
             radius: form.radius,
             radius_range,
             auto_scale: form.auto_scale,
-            measures_shapes: form.measures_shapes,
-            normals: if form.measures_shapes { totals.shapes } else { 0 },
+            shapes_of: form.shapes_of,
+            normals: if form.shapes_of.are_measured() { totals.shapes } else { 0 },
             weight: form.weight,
             weight_range: totals.weight_range,
-            has_shapes: totals.shapes > 0 && !form.measures_shapes,
+            has_shapes: totals.shapes > 0 && !form.shapes_of.are_measured(),
             depths: totals.depths.clone(),
             attributes: (form.attributes.iter().zip(&totals.attribute_ranges))
                 .map(|(info, &(min, max))| AttributeInfo {
@@ -325,7 +330,7 @@ impl Survey {
 
     /// The same once every record has what is measured of it.
     pub(super) fn with_measures(self, settled: Settled) -> Self {
-        let layout = self.layout.with_measures(self.measures_shapes);
+        let layout = self.layout.with_measures(self.shapes_of.are_measured());
         let has_shapes = self.has_shapes || settled.has_shapes;
         Self { layout, radius: None, radius_range: settled.radius_range, has_shapes, ..self }
     }
@@ -356,7 +361,7 @@ impl Survey {
     #[cfg(feature = "parts")]
     pub(super) fn measured_layout(&self) -> RecordLayout {
         if self.measures_radii() {
-            self.layout.with_measures(self.measures_shapes)
+            self.layout.with_measures(self.shapes_of.are_measured())
         } else {
             self.layout.clone()
         }

@@ -1,7 +1,8 @@
 //! Which radii are usual in a cloud, from counts of the radii that were measured.
 
 use super::error::{BuildError, Quantity};
-use super::neighbourhood::{self, OfPlace};
+use super::neighbourhood::OfPlace;
+use super::shapes_of::ShapesOf;
 use super::survey::{LIMIT, Survey};
 use crate::octree::shape::StoredShape;
 
@@ -161,12 +162,17 @@ impl Typical {
     }
 
     /// The radius and the shape of a record of which these were measured. Stray points are balls.
-    pub(super) fn settled_with_shape(&self, measured: f32, shape: StoredShape) -> (f32, StoredShape) {
+    pub(super) fn settled_with_shape(
+        &self,
+        measured: f32,
+        shape: StoredShape,
+        shapes_of: ShapesOf,
+    ) -> (f32, StoredShape) {
         let radius = self.settled(measured);
         if radius != measured {
             return (radius, StoredShape::BALL);
         }
-        let radius = f64::from(radius) * neighbourhood::radius_of(shape);
+        let radius = f64::from(radius) * shapes_of.radius_of(shape);
         (radius.clamp(1.0 / LIMIT, LIMIT) as f32, shape)
     }
 

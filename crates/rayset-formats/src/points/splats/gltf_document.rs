@@ -194,8 +194,8 @@ fn json_of(path: &Path) -> Result<(Value, Option<(u64, u64)>), ReadError> {
     file.seek(SeekFrom::Start(start)).map_err(io)?;
     let mut text = Vec::new();
     (&mut file).take(bytes).read_to_end(&mut text).map_err(io)?;
-    let json = bounded_json::parse(&text)
-        .map_err(|error| fail(start, format!("not the JSON of glTF: {error}")))?;
+    let json =
+        bounded_json::parse(&text).map_err(|error| fail(start, format!("not the JSON of glTF: {error}")))?;
     let mut next = [0; 8];
     if !is_binary || file.read_exact(&mut next).is_err() {
         return Ok((json, None));

@@ -10,7 +10,6 @@ use super::super::copies::{self, Merger};
 use super::super::curve::{Boxes, Crowd, Curve, GRAIN, Sketch, most_boxes};
 use super::super::error::BuildError;
 use super::super::neighbourhood::OfPlace;
-use super::super::neighbours::{FOR_DISTANCE, FOR_SHAPE};
 use super::super::pieces::{Assemble, Copy};
 use super::super::plan::Cell;
 use super::super::record::{RecordLayout, SHAPE_BYTES};
@@ -200,7 +199,7 @@ pub(super) fn measure(job: &Job<'_>) -> Result<(), BuildError> {
     let mut joined = Joined::new(files);
     counts.iter().enumerate().for_each(|(file, &count)| joined.push(file, 0, count * stride as u64));
     let spill = Spill::Joined(joined);
-    let curve = Curve { spill: &spill, stride, crowds, boxes };
+    let curve = Curve { spill: &spill, stride, crowds, boxes, shapes_of: survey.shapes_of };
     let own = job.part as usize - 1;
     let first: u64 = counts[..own].iter().sum();
     let range = first..first + counts[own];
@@ -213,11 +212,7 @@ pub(super) fn measure(job: &Job<'_>) -> Result<(), BuildError> {
         checksum = crc32c::crc32c_append(checksum, &bytes);
         output.write_all(&bytes).map_err(|e| data.failed(e))
     };
-    let measured = if survey.measures_shapes {
-        curve.measure::<FOR_SHAPE>(&context, scale, &range, nowhere, pass)?
-    } else {
-        curve.measure::<FOR_DISTANCE>(&context, scale, &range, nowhere, pass)?
-    };
+    let measured = curve.measure(&context, scale, &range, nowhere, pass)?;
     output.flush().map_err(|e| data.failed(e))?;
     drop(output);
     let payload = divide::encode(std::iter::once(u64::from(checksum)).chain(measured.to_words()));
@@ -229,7 +224,7 @@ pub(super) fn measure(job: &Job<'_>) -> Result<(), BuildError> {
 
 /// Bytes of what is measured of a record: its radius, and its shape if that is, too.
 fn measures_bytes(survey: &Survey) -> usize {
-    match (survey.measures_radii(), survey.measures_shapes) {
+    match (survey.measures_radii(), survey.shapes_of.are_measured()) {
         (false, _) => 0,
         (true, false) => 4,
         (true, true) => 4 + SHAPE_BYTES,
@@ -238,7 +233,7 @@ fn measures_bytes(survey: &Survey) -> usize {
 
 fn put_measures(survey: &Survey, place: &OfPlace, to: &mut Vec<u8>) {
     to.extend_from_slice(&stored(place.radius).to_le_bytes());
-    if survey.measures_shapes {
+    if survey.shapes_of.are_measured() {
         to.extend_from_slice(&place.suggested.shape.to_bytes());
     }
 }
@@ -250,7 +245,7 @@ fn with_measures(survey: &Survey, record: &[u8], measures: &[u8], whole: &mut Ve
     whole.extend_from_slice(&record[..POSITION]);
     whole.extend_from_slice(radius);
     // Records that bring shapes have them behind their positions.
-    let brings_shapes = survey.measures_shapes && survey.layout.has_shape;
+    let brings_shapes = survey.shapes_of.are_measured() && survey.layout.has_shape;
     whole.extend_from_slice(if brings_shapes { &[] } else { shape });
     whole.extend_from_slice(&record[POSITION..]);
     if brings_shapes {

@@ -6,6 +6,7 @@ use super::super::distinct::Distinct;
 use super::super::error::Skipped;
 use super::super::options::{BuildOptions, InvalidPolicy, Precision};
 use super::super::record::RecordLayout;
+use super::super::shapes_of::ShapesOf;
 use super::super::survey::{Form, Totals};
 use crate::points::{ColumnInfo, ColumnType};
 use rayset_base::geometry::{Aabb, DVec3};
@@ -44,7 +45,8 @@ struct StoredForm {
     attributes: Vec<StoredColumn>,
     radius: Option<u32>,
     auto_scale: u64,
-    measures_shapes: bool,
+    /// The number of what shapes are measured of.
+    shapes_of: usize,
     weight: u32,
     pages_depend_on: String,
     crs: String,
@@ -186,7 +188,7 @@ impl StoredForm {
             attributes: form.attributes.iter().map(column).collect(),
             radius: form.radius.map(f32::to_bits),
             auto_scale: form.auto_scale.to_bits(),
-            measures_shapes: form.measures_shapes,
+            shapes_of: form.shapes_of as usize,
             weight: form.weight.to_bits(),
             pages_depend_on: form.pages_depend_on.clone(),
             crs: form.metadata.crs.clone(),
@@ -217,7 +219,7 @@ impl StoredForm {
             attributes,
             radius: self.radius.map(f32::from_bits),
             auto_scale: f64::from_bits(self.auto_scale),
-            measures_shapes: self.measures_shapes,
+            shapes_of: *ShapesOf::ALL.get(self.shapes_of)?,
             weight: f32::from_bits(self.weight),
             pages_depend_on: self.pages_depend_on.clone(),
             metadata: Metadata { up, step, ..Metadata::new(&self.crs, self.sources.clone()) },
