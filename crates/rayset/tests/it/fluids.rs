@@ -59,7 +59,8 @@ fn a_fluid_is_built_in_parts_as_at_once() {
 #[test]
 fn a_fluid_whose_radii_are_given_is_refused_with_what_to_do() {
     let given = options().with_radius(Some(Rule::Attribute("radius".into())));
-    let error = build::run_in_memory(vec![basin()], &given, &BuildControl::default()).err().expect("refused");
+    let error =
+        build::run_in_memory(vec![basin()], &given, &BuildControl::default()).map(drop).expect_err("refused");
     let expected =
         "shape: shapes of a fluid are measured with the radii: give no radius, and a radius scale if need be";
     assert!(error.to_string().contains(expected), "{error}");
