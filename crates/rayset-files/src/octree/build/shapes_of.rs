@@ -16,6 +16,7 @@ pub(super) enum ShapesOf {
 }
 
 impl ShapesOf {
+    #[cfg(feature = "parts")]
     pub(super) const ALL: [Self; 3] = [Self::Nothing, Self::Surfaces, Self::Fluid];
 
     /// Whether they are measured.
