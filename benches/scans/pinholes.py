@@ -4,7 +4,7 @@ surface, where rays pass through it to what lies far behind.
 
     pip install numpy scipy OpenEXR
     cargo build --release
-    benches/scans/pinholes.py target/release/rayset FOLDER bun_zipper.ply=--mesh-points=1000000 lucy.ply
+    benches/scans/pinholes.py target/release/rayset FOLDER "bun_zipper.ply --mesh-points 1000000" lucy.ply
 
 Behind an input may stand options of `rayset render`. A place is far behind if it is deeper than all around it by a
 twentieth of the object's extent in depth, or shows nothing.
@@ -12,6 +12,7 @@ twentieth of the object's extent in depth, or shows nothing.
 
 import argparse
 import os
+import shlex
 import subprocess
 
 import numpy as np
@@ -27,6 +28,8 @@ def pinholes(path):
     layers = OpenEXR.File(path).channels()
     depth, opacity = layers["depth.Z"].pixels, layers["opacity.Y"].pixels
     surface = opacity >= 0.5
+    if not surface.any():
+        return [], []
     nearest, farthest = depth[surface].min(), depth[surface].max()
     far = (farthest - nearest) / 20
     depth = np.where(surface, depth, farthest + (farthest - nearest))
@@ -39,7 +42,8 @@ def pinholes(path):
         own = labels[around] == i
         # Slits and silhouettes are deep beyond the place, too.
         ring = ndimage.binary_dilation(own, np.ones((3, 3))) & ~own
-        is_small = max(rows.stop - rows.start, columns.stop - columns.start) <= PIXELS
+        is_inside = 0 < rows.start and rows.stop < depth.shape[0] and 0 < columns.start and columns.stop < depth.shape[1]
+        is_small = is_inside and max(rows.stop - rows.start, columns.stop - columns.start) <= PIXELS
         if is_small and (depth[around][ring] < depth[around][own].min() - far).all():
             middle = ((rows.start + rows.stop) // 2, (columns.start + columns.stop) // 2)
             found.append(middle)
@@ -57,10 +61,10 @@ def main():
     given = parser.parse_args()
     print(f"| input | places of background in {FRAMES} frames | pinholes in each |\n| --- | ---: | --- |")
     for given_input in given.inputs:
-        path, *options = given_input.split("=", 1)
+        path, *options = shlex.split(given_input)
         frames = os.path.join(given.folder, "frame.exr")
         command = [given.program, "render", path, "-o", frames, "--turntable", str(FRAMES), "--size", given.size]
-        subprocess.run(command + options, check=True, capture_output=True)
+        subprocess.run(command + options, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         background, counts = 0, []
         for frame in range(FRAMES):
             seen_through, found = pinholes(os.path.join(given.folder, f"frame.{frame:04}.exr"))

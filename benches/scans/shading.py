@@ -7,8 +7,9 @@
 
 For each mesh, the root mean square of the angle in degrees over all pixels of eight frames of a turntable whose opacity
 is at least a half, and in brackets that of all but a hundredth of them: for points alone, and for points with normals,
-the means of their faces. The normal of a pixel is that of the place on the mesh that its ray meets, interpolated between
-the vertices; pixels whose ray meets another part of the mesh than the picture shows, by three spacings, are left out.
+the means of their faces. The true normal of a pixel is that of the place on the mesh that is nearest to what the picture
+shows there, interpolated between the vertices. Pixels of which that is farther than three spacings are left out; how many
+is said.
 """
 
 import argparse
@@ -25,7 +26,7 @@ FRAMES = 8
 
 
 def mesh(path):
-    """Vertices, triangles and normals of vertices."""
+    """Vertices, triangles, normals of vertices, and the area of all."""
     data = PlyData.read(path)
     vertices = np.stack([data["vertex"][axis] for axis in "xyz"], axis=1).astype(float)
     faces = np.stack(data["face"].data[data["face"].data.dtype.names[0]]).astype(int)
@@ -118,7 +119,7 @@ def main():
             with open(scene) as file:
                 document = json.load(file)
             size, center = document["image"]["size"], (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-            found = []
+            found, pixels = [], 0
             for k in range(FRAMES):
                 camera = turned(document["camera"], center, 2 * np.pi * k / FRAMES)
                 depth, opacity, shading = frame(given.program, scene, given.folder, camera, size)
@@ -127,12 +128,14 @@ def main():
                 place = origin + toward[shown] * depth[shown][:, None]
                 distance, nearest = tree.query(place)
                 near = distance < 3 * spacing
+                pixels += len(near)
                 normal = directions[nearest[near]]
                 cos = np.abs((shading[shown][near] * normal).sum(axis=1)) / np.linalg.norm(normal, axis=1)
                 found.append(np.degrees(np.arccos(np.clip(cos, 0, 1))))
             angles = np.sort(np.concatenate(found))
             rms = lambda of: np.sqrt(np.mean(of**2))
-            cells.append(f"{rms(angles):.1f}° ({rms(angles[: len(angles) * 99 // 100]):.1f}°)")
+            left_out = 100 * (1 - len(angles) / pixels)
+            cells.append(f"{rms(angles):.1f}° ({rms(angles[: len(angles) * 99 // 100]):.1f}°), {left_out:.2f} % left out")
         print(f"| {os.path.basename(path)} | " + " | ".join(cells) + " |", flush=True)
 
 

@@ -16,6 +16,8 @@ OWN = ("radius", "weight", "red", "green", "blue")
 #: Columns of the shapes of points.
 SEMI_AXES = ("semi_axis_1", "semi_axis_2", "semi_axis_3")
 ROTATION = ("rotation_x", "rotation_y", "rotation_z", "rotation_w")
+#: The least semi-axis of an ellipsoid given by a matrix, as a part of its longest.
+THINNEST = 1e-4
 #: Columns of the normals of points.
 NORMAL = ("nx", "ny", "nz")
 #: Types of columns that are read as they are.
@@ -138,21 +140,19 @@ def colors(value: Any, count: int) -> list[Column]:
     return [Column(name, array[:, k]) for k, name in enumerate(("red", "green", "blue"))]
 
 
-def shapes(shape: Any, count: int) -> tuple[list[Column], NDArray[Any]]:
-    """Columns of the shapes of points, by matrices or by semi-axes and quaternions; and the longest semi-axis of each."""
-    if isinstance(shape, tuple) and len(shape) == 2:
-        lengths, rotations = (np.asarray(part) for part in shape)
+def shapes(shape: Any, count: int, unit: Any) -> tuple[list[Column], NDArray[Any]]:
+    """Columns of the shapes of points, by matrices or by semi-axes and quaternions; and the longest semi-axis of each, in a unit."""
+    if isinstance(shape, (tuple, list)) and len(shape) == 2 and np.ndim(shape[0]) == 2 and np.shape(shape[1])[-1:] == (4,):
+        lengths, rotations = plain(shape[0], "shape", unit), plain(shape[1], "shape")
         if lengths.shape != (count, 3) or rotations.shape != (count, 4):
             found = f"{lengths.shape} and {rotations.shape}"
             raise ValueError(f"shape: expected {count} rows of three semi-axes, and {count} of quaternions (x, y, z, w), and got the shapes {found}")
     else:
-        matrices = np.asarray(shape)
+        matrices = plain(shape, "shape", unit)
         if matrices.shape != (count, 3, 3):
-            expected = f'"auto", "fluid", "round", an array of {count} matrices of 3 by 3, or a pair of semi-axes and quaternions'
+            expected = f'"auto", "fluid", "round", an array of {count} matrices of 3 by 3, or a pair of N × 3 semi-axes and N × 4 quaternions'
             raise ValueError(f"shape: expected {expected}, and got the shape {matrices.shape}")
         lengths, rotations = _ellipsoids(matrices)
-    if lengths.dtype.kind not in "buif" or rotations.dtype.kind not in "buif":
-        raise TypeError(f"shape: an array of {lengths.dtype} and {rotations.dtype} is not of numbers")
     names, values = SEMI_AXES + ROTATION, np.hstack([lengths, rotations]).astype(np.float64)
     return [Column(name, values[:, k], is_attribute=False) for k, name in enumerate(names)], lengths.max(axis=1).astype(np.float64)
 
@@ -164,7 +164,9 @@ def _ellipsoids(matrices: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     finite = np.isfinite(matrices).all(axis=(1, 2))
     if not finite.any():
         return lengths, rotations
-    axes, lengths[finite], _ = np.linalg.svd(matrices[finite].astype(np.float64))
+    axes, found, _ = np.linalg.svd(matrices[finite].astype(np.float64))
+    # What is flat, as the root of a covariance of points in a plane, is a thin disc: a length of 0 is rounding, or not.
+    lengths[finite] = np.maximum(found, THINNEST * found[:, :1])
     axes[np.linalg.det(axes) < 0, :, 2] *= -1  # a rotation, not a reflection: either end of an axis is as good
     # The quaternion's largest component first, by which the others are divided.
     x, y, z = (axes[:, k, k] for k in range(3))
@@ -181,7 +183,7 @@ def _ellipsoids(matrices: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
 
 def normals(values: Any, count: int) -> list[Column]:
     """Columns of the normals of points."""
-    array = np.asarray(values)
+    array = plain(values, "normals")
     if array.shape != (count, 3):
         raise ValueError(f"normals: expected {count} rows of three numbers, and got the shape {array.shape}")
     return [Column(name, column(array[:, k], "normals", count), is_attribute=False) for k, name in enumerate(NORMAL)]
@@ -278,7 +280,13 @@ def from_table(value: Any, classes: tuple[str, ...] = (), is_chunk: bool = False
         color = np.column_stack([plain(found.pop(name), name) for name in ("red", "green", "blue")])
     more = found.pop("attributes", None)
     rest = {name: values for name, values in found.items() if _is_numeric(values)}
-    return gather(where, radius, weight, color, {**rest, **(more or {})}, classes, is_chunk)
+    points = gather(where, radius, weight, color, {**rest, **(more or {})}, classes, is_chunk)
+    for names in (SEMI_AXES + ROTATION, NORMAL):
+        # They say what shape points have, and are kept only if they are named as attributes, too.
+        if all(name in rest for name in names):
+            for one in points.columns:
+                one.is_attribute = one.is_attribute and (one.name not in names or one.name in (more or {}))
+    return points
 
 
 def _is_numeric(values: Any) -> bool:

@@ -148,8 +148,12 @@ def build(
             built, skipped = _from_chunks(positions, names, options, told)
         else:
             gathered = _gathered(positions, radii, weights, color, attributes, names)
+            given = () if isinstance(shape, str) else _arrays.SEMI_AXES + _arrays.ROTATION
+            given += () if normals is None else _arrays.NORMAL
+            _refuse_twice(given, attributes)
+            gathered.columns = [one for one in gathered.columns if one.name not in given]
             if not isinstance(shape, str):
-                of_shape, longest = _arrays.shapes(shape, len(gathered.positions))
+                of_shape, longest = _arrays.shapes(shape, len(gathered.positions), _arrays.unit_of(positions))
                 has_radius = rule is not None or any(one.name == "radius" for one in gathered.columns)
                 gathered.columns += of_shape + ([] if has_radius else [_arrays.Column("radius", longest)])
             if normals is not None:
@@ -165,6 +169,14 @@ def build(
             built, skipped = _native.build_arrays(gathered.positions, arrays, options, told)
     _warn_of(skipped)
     return Cloud(built)
+
+
+def _refuse_twice(given: tuple[str, ...], attributes: Any) -> None:
+    """Columns that arguments give are no attributes, too."""
+    for name in given:
+        if name in (attributes or ()):
+            argument = "normals" if name in _arrays.NORMAL else "shape"
+            raise ValueError(f"attributes: {name!r} is given by {argument}=")
 
 
 def _gathered(
@@ -192,7 +204,7 @@ def _from_chunks(
             break
     else:
         raise ValueError("the iterator of chunks yields no points; an iterator can be used only once")
-    options["attributes"] = [one.name for one in first.columns if one.name not in _arrays.OWN]
+    options["attributes"] = [one.name for one in first.columns if one.is_attribute and one.name not in _arrays.OWN]
     names = [one.named() for one in first.columns]
     example = (first.positions[:0], [one.values[:0] for one in first.columns])
     return _native.build_chunks(example, names, _arrays.chunks(first, chunks, classes), options, told)

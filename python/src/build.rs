@@ -31,7 +31,7 @@ pub(crate) struct Options {
     weight: Option<RuleArgument>,
     #[pyo3(item)]
     radius_scale: f64,
-    /// `auto` or `round`.
+    /// `auto`, `fluid` or `round`.
     #[pyo3(item)]
     shape: String,
     #[pyo3(item)]

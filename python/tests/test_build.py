@@ -227,31 +227,78 @@ def test_shapes_are_those_of_matrices_or_of_semi_axes_and_quaternions() -> None:
     where, lengths, quaternions, matrices = _ellipsoids(60)
     roots = matrices @ (matrices / lengths[:, None, :]).transpose(0, 2, 1)  # symmetric: the same ellipsoids
     assert np.allclose(roots, roots.transpose(0, 2, 1))
-
-    def picture(cloud: rs.Cloud) -> np.ndarray:
-        return np.asarray(rs.render(cloud, size=(96, 64), samples=1)).astype(int)
-
-    expected = picture(rs.build(where, shape=(lengths, quaternions)))
+    expected = _picture(rs.build(where, shape=(lengths, quaternions)))
     assert expected.std() > 5
     for shape in (matrices, roots, matrices.astype("f4"), (lengths * 1.0, -quaternions)):
-        assert np.abs(picture(rs.build(where, shape=shape)) - expected).max() <= 2
-    assert np.abs(picture(rs.build(where, radius=lengths.max(axis=1))) - expected).max() > 20
+        assert np.abs(_picture(rs.build(where, shape=shape)) - expected).max() <= 2
+    assert np.abs(_picture(rs.build(where, radius=lengths.max(axis=1))) - expected).max() > 20
     twice = rs.build(where, shape=matrices, radius=2 * lengths.max(axis=1))
-    assert np.abs(picture(twice) - picture(rs.build(where, shape=2 * matrices))).max() <= 2
+    assert np.abs(_picture(twice) - _picture(rs.build(where, shape=2 * matrices))).max() <= 2
     with pytest.warns(rs.RaysetWarning, match="skipped 1 points"):
         rs.build(where, shape=np.where(np.arange(60)[:, None, None] == 7, np.nan, matrices))
 
 
+def _sheet(seed: int) -> np.ndarray:
+    """Points at random on a square, with so much noise that neighbours do not say which way it faces."""
+    random = np.random.default_rng(seed)
+    return np.column_stack([random.uniform(0, 1, (COUNT, 2)), random.normal(0, 0.03, COUNT)])
+
+
+def _picture(cloud: rs.Cloud) -> np.ndarray:
+    return np.asarray(rs.render(cloud, size=(96, 64), samples=1)).astype(int)
+
+
 def test_normals_turn_discs_and_are_not_kept() -> None:
-    where = points(COUNT)
-    cloud = rs.build(where, normals=np.broadcast_to([0.0, 0.0, 1.0], where.shape), attributes={"T": where[:, 0]})
-    assert cloud.identity != rs.build(where, attributes={"T": where[:, 0]}).identity
+    where = _sheet(3)
+    up, across = (np.broadcast_to(axis, where.shape) for axis in ([0.0, 0.0, 1.0], [2.0, 0.0, 0.0]))
+    cloud = rs.build(where, normals=up, attributes={"T": where[:, 0]})
     assert list(cloud.attributes) == ["T"]
+    pictures = [_picture(rs.build(where, normals=normals)) for normals in (up, -3 * up, across)]
+    assert np.array_equal(pictures[0], pictures[1])
+    assert np.abs(pictures[0] - pictures[2]).mean() > 5
+    table = {"x": where[:, 0], "y": where[:, 1], "z": where[:, 2], "nx": up[:, 0], "ny": up[:, 1], "nz": up[:, 2], "T": where[:, 0]}
+    assert np.array_equal(_picture(rs.build(table)), pictures[0])
+    assert list(rs.build(table).attributes) == ["T"]
+    # What the argument says goes before the columns of a table.
+    assert np.array_equal(_picture(rs.build(table, normals=across)), pictures[2])
+    hidden = np.ma.masked_array(up, mask=True)
+    assert np.array_equal(_picture(rs.build(where, normals=hidden)), _picture(rs.build(where)))
 
 
 def test_shapes_of_a_fluid_are_measured() -> None:
-    where = points(COUNT)
-    assert rs.build(where, shape="fluid").identity != rs.build(where).identity
-    for wrong in ({"shape": "disc"}, {"shape": np.eye(3)}, {"shape": "fluid", "radius": where[:, 0]}, {"normals": where[:5]}):
-        with pytest.raises(ValueError, match="shape|normals"):
-            rs.build(where, **wrong)
+    where = _sheet(4)
+    fluid, automatic, balls = (_picture(rs.build(where, shape=shape)) for shape in ("fluid", "auto", "round"))
+    assert np.abs(fluid - automatic).max() > 50
+    assert np.abs(fluid - balls).max() > 50
+
+
+WRONG_SHAPES = {
+    "no such rule": ({"shape": "disc"}, "expected \"auto\", \"fluid\""),
+    "one matrix": ({"shape": np.eye(3)}, r"got the shape \(3, 3\)"),
+    "rows of different lengths": ({"shape": [[1], [1, 2]]}, "different lengths"),
+    "radii of a fluid": ({"shape": "fluid", "radius": np.ones(60)}, "radii are measured"),
+    "few normals": ({"normals": np.ones((5, 3))}, "expected 60 rows"),
+    "twice": ({"normals": np.ones((60, 3)), "attributes": {"nx": np.ones(60)}}, "'nx' is given by normals="),
+    "shapes twice": ({"shape": np.tile(np.eye(3), (60, 1, 1)), "attributes": {"rotation_x": np.ones(60)}}, "given by shape="),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG_SHAPES)
+def test_wrong_shapes_are_refused_with_what_was_expected(wrong: str) -> None:
+    arguments, said = WRONG_SHAPES[wrong]
+    with pytest.raises(ValueError, match=said):
+        rs.build(points(60), **arguments)
+
+
+def test_flat_matrices_are_thin_discs_and_masked_ones_no_points() -> None:
+    where, lengths, _, matrices = _ellipsoids(60)
+    flat = matrices * np.array([1.0, 1.0, 0.0])
+    assert len(rs.build(where, shape=flat)) == 60
+    mask = np.zeros(matrices.shape, dtype=bool)
+    mask[:20] = True
+    with pytest.warns(rs.RaysetWarning, match="skipped 20 points"):
+        rs.build(where, shape=np.ma.masked_array(matrices, mask=mask))
+    columns = {f"semi_axis_{k + 1}": lengths[:, k] for k in range(3)} | {f"rotation_{axis}": np.ones(60) for axis in "xyzw"}
+    table = {"x": where[:, 0], "y": where[:, 1], "z": where[:, 2]} | columns
+    assert rs.build(table).radius == pytest.approx((lengths.max(axis=1).min(), lengths.max()), rel=1e-6)
+    assert list(rs.build(table).attributes) == []

@@ -137,6 +137,7 @@ fn open(
     let points = Points { sources: rayset_inputs::with_speeds(points.sources), ..points };
     let columns = rayset_inputs::wanted_columns(args.choices.0.attributes.as_deref(), &points.sources);
     columns.remark().into_iter().for_each(report::remark);
+    rayset_inputs::remark_on_normals(&points.sources, &options).into_iter().for_each(report::remark);
     Ok((points, options.with_attributes(columns.kept)))
 }
 

@@ -37,8 +37,9 @@ options! {
         /// the column `radius` where there is one, else auto
         radius: String = Text;
         /// Shapes of points: `auto`, by which points whose radii are measured are discs on
-        /// surfaces, rods along wires and small balls where they are scattered; `fluid` for
-        /// particles of a liquid, which are flat along its surface; or `round`. By default auto
+        /// surfaces, across normals if there are any, rods along wires and small balls where they
+        /// are scattered; `fluid` for particles of a liquid, which are flat along its surface; or
+        /// `round`. By default auto
         shape: String = Checked(shape);
         /// Weight: a number or a column. By default the column `weight` where there is one, else 1
         weight: String = Text;

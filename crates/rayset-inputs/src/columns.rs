@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use rayset::build::{BuildOptions, Rule, ShapeRule};
 use rayset::points::{ColumnInfo, HARMONIC, HARMONIC_CONSTANTS, PointSource, ROUND_RADIUS, SHAPE_COLUMNS};
 
 use crate::host::Host;
@@ -14,7 +15,7 @@ const MOST: usize = 32;
 /// What looks are chosen by comes first, in this order.
 const FIRST: [&str; 4] = ["classification", "intensity", "reflectance", "temperature"];
 /// Columns that a cloud keeps by itself, or that say nothing of a point.
-const OWN: [&str; 8] = ["radius", "weight", "red", "green", "blue", "nx", "ny", "nz"];
+const OWN: [&str; 5] = ["radius", "weight", "red", "green", "blue"];
 
 /// Whether a column belongs to the shapes of ellipsoids, which a cloud keeps by itself.
 fn is_of_shapes(name: &str) -> bool {
@@ -71,6 +72,22 @@ pub(crate) fn remark_on_readings<S: PointSource + ?Sized>(sources: &[Box<S>], ho
     }
 }
 
+/// What to say of points whose shapes are by columns of their normals; `None` if there are none.
+pub fn remark_on_normals<S: PointSource + ?Sized>(
+    sources: &[Box<S>],
+    options: &BuildOptions,
+) -> Option<String> {
+    let measures = matches!(options.radius, None | Some(Rule::Auto)) && options.shape == ShapeRule::Auto;
+    let schemas = || sources.iter().map(|source| source.schema());
+    let have = |name: &str| schemas().all(|schema| schema.find(name).is_some());
+    if !measures || have("radius") || have(SHAPE_COLUMNS[0]) {
+        return None;
+    }
+    let (schema, normals) = schemas().find_map(|schema| Some((schema, schema.normals()?)))?;
+    let [x, y, z] = normals.map(|index| &schema.columns[index].name);
+    Some(format!("points are discs across their normals ({x}, {y}, {z}); balls with --shape round"))
+}
+
 /// The columns that all sources have, those by which looks are chosen first, up to a bounded number
 /// of bytes a point.
 pub fn customary<S: PointSource + ?Sized>(sources: &[Box<S>]) -> Columns {
@@ -88,11 +105,16 @@ fn chosen<S: PointSource + ?Sized>(sources: &[Box<S>], most_bytes: usize) -> Col
     let schema = first.schema();
     let has_shapes = SHAPE_COLUMNS.iter().all(|name| schema.find(name).is_some());
     let has_harmonics = schema.harmonics().0 > 0;
+    // Whoever asks for all gets them, too.
+    let normals = schema.normals().filter(|_| most_bytes < usize::MAX);
     let is_own = |index: usize, column: &ColumnInfo| {
         if has_shapes && is_of_shapes(&column.name) {
             return true;
         }
         if has_harmonics && is_of_harmonics(&column.name) {
+            return true;
+        }
+        if normals.is_some_and(|normals| normals.contains(&index)) {
             return true;
         }
         let plays = |role: &&str| schema.find(role) == Some(index);

@@ -26,7 +26,8 @@ pub mod values;
 pub use self::cache::{Cache, fingerprint};
 pub use self::choices::BuildChoices;
 pub use self::columns::{
-    Columns, customary as customary_columns, of_all as all_columns, wanted as wanted_columns,
+    Columns, customary as customary_columns, of_all as all_columns, remark_on_normals,
+    wanted as wanted_columns,
 };
 pub use self::files::{Files, expand};
 pub use self::host::{Host, TemporaryFolder, stage_name};

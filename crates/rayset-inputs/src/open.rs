@@ -258,6 +258,9 @@ impl Work<'_> {
         if let Some(remark) = columns.remark() {
             self.said.remark(&remark);
         }
+        if let Some(remark) = columns::remark_on_normals(&sources, &options) {
+            self.said.remark(&remark);
+        }
         let options = options.with_attributes(columns.kept);
         let reported = Reported { host, unit: "points" };
         let leaves_out = |source: usize, error: &ReadError| left_out.takes(source, error);

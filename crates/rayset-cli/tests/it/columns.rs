@@ -30,6 +30,27 @@ fn a_scale_without_a_rule_scales_the_column_that_is_there() {
 }
 
 #[test]
+fn the_longest_semi_axis_is_the_radius_where_there_is_no_other() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let axes = [("semi_axis_1", 1.0), ("semi_axis_2", 3.0), ("semi_axis_3", 0.5)];
+    let rotation = [("rotation_x", 0.0), ("rotation_y", 0.0), ("rotation_z", 0.0), ("rotation_w", 1.0)];
+    let columns = |more: &[(&'static str, f32)]| {
+        let all = axes.iter().chain(&rotation).chain(more);
+        source(all.map(|&(name, value)| (name, vec![value, 2.0 * value])).collect())
+    };
+    let options = BuildOptions { radius_scale: 10.0, length_scale: 0.5, ..BuildOptions::default() };
+    let of = |more: &[(&'static str, f32)]| build_at(&path, columns(more), &options).header().radius;
+    assert_eq!(of(&[]), Column::Varying { min: 15.0, max: 30.0 });
+    assert_eq!(of(&[("radius", 0.2)]), Column::Varying { min: 1.0, max: 2.0 });
+    let given = BuildOptions { radius: Some(Rule::SemiAxis), ..options };
+    let bare = source(vec![("weight", vec![1.0])]);
+    let refused = build::run_in_memory(vec![bare], &given, &BuildControl::default()).map(drop);
+    let said = refused.expect_err("refused").to_string();
+    assert!(said.contains("radius: not all inputs have semi-axes"), "{said}");
+}
+
+#[test]
 fn the_program_scales_columns_without_being_told_their_names() {
     let folder = folder();
     std::fs::write(folder.path().join("p.csv"), "x,y,z,radius,weight\n0,0,0,1,3\n1,0,0,2,5\n")

@@ -46,3 +46,27 @@ fn a_build_samples_as_many_points_on_a_mesh_as_are_asked_for() {
         assert!(remarks.contains("1000000 points are sampled on the 80 triangles of a mesh"), "{remarks}");
     }
 }
+
+#[test]
+fn a_build_says_that_normals_turn_points_and_keeps_them_only_if_it_is_asked_to() {
+    let folder = folder();
+    let row = |i: i32| format!("{},{},0,0,0,1,{i}\n", i % 10, i / 10);
+    let rows: String = (0..100).map(row).collect();
+    std::fs::write(folder.path().join("p.csv"), format!("x,y,z,normal_x,normal_y,normal_z,T\n{rows}"))
+        .expect("a write");
+    let said_of = |more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rayset"));
+        command.current_dir(folder.path()).args(["build", "p.csv", "-o", "c.rset"]).args(more);
+        let built = command.output().expect("the program runs");
+        let mut info = Command::new(env!("CARGO_BIN_EXE_rayset"));
+        let info = info.current_dir(folder.path()).args(["info", "c.rset"]).output().expect("it runs");
+        [built.stderr, info.stdout].map(|text| String::from_utf8_lossy(&text).into_owned())
+    };
+    let [said, info] = said_of(&[]);
+    assert!(said.contains("points are discs across their normals (normal_x, normal_y, normal_z)"), "{said}");
+    assert!(info.contains("attribute   T") && !info.contains("attribute   normal_x"), "{info}");
+    let [said, _] = said_of(&["--radius", "0.5"]);
+    assert!(!said.contains("across their normals"), "{said}");
+    let [_, info] = said_of(&["--attributes", "all"]);
+    assert!(info.contains("attribute   normal_x"), "{info}");
+}

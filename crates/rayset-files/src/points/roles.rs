@@ -57,13 +57,12 @@ const COLOR_ALIASES: [[&str; 3]; 8] = [
 ];
 
 /// Names of the components of a surface normal, which are one only together.
-const NORMALS: [[&str; 3]; 9] = [
+const NORMALS: [[&str; 3]; 8] = [
     ["nx", "ny", "nz"],
     // Of PCD, E57, and vectors by these names.
     ["normal_x", "normal_y", "normal_z"],
     ["normalX", "normalY", "normalZ"],
     ["normals_x", "normals_y", "normals_z"],
-    ["n_x", "n_y", "n_z"],
     // Of CloudCompare as scalar fields, and of ParaView.
     ["scalar_nx", "scalar_ny", "scalar_nz"],
     ["normals:0", "normals:1", "normals:2"],

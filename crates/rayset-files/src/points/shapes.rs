@@ -40,9 +40,11 @@ impl Schema {
         all.map(ShapeOrigin::Axes)
     }
 
-    /// The columns of a normal, if there are all three.
-    pub(crate) fn normals(&self) -> Option<ShapeOrigin> {
+    /// The columns of the normal of a surface, if there are all three: `nx`, `ny` and `nz`, or
+    /// other usual names.
+    #[must_use]
+    pub fn normals(&self) -> Option<[usize; 3]> {
         let names: Vec<&str> = self.names().collect();
-        roles::normals(&names).map(ShapeOrigin::Normal)
+        roles::normals(&names)
     }
 }

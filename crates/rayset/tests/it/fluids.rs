@@ -53,7 +53,8 @@ fn particles_of_a_fluid_are_balls_inside_and_flat_along_its_surface() {
 
 #[test]
 fn a_fluid_is_built_in_parts_as_at_once() {
-    build_parts::check("a fluid", &|| vec![basin(), basin()], &options());
+    build_parts::check("a fluid", &|| vec![basin()], &options());
+    build_parts::check("a fluid twice", &|| vec![basin(), basin()], &options());
 }
 
 #[test]

@@ -15,10 +15,12 @@ pub(super) struct Columns {
     pub(super) names: Vec<String>,
     /// Index in `names`.
     pub(super) radius: Option<usize>,
+    /// Whether radii are the longest semi-axes.
+    pub(super) radius_is_semi_axis: bool,
     pub(super) weight: Option<usize>,
     pub(super) attributes: Vec<usize>,
-    /// What shapes are measured of, with the radii. Those that records have then are discs by their
-    /// normals, which are kept, or balls for lack of one, which are not.
+    /// What shapes are measured of, with the radii. Records may have shapes before: discs by their
+    /// normals, and balls of those without one. Only what is no ball by then stays as it is.
     pub(super) shapes_of: ShapesOf,
     /// The attributes, each of the common type of all sources.
     pub(super) infos: Vec<ColumnInfo>,
@@ -50,9 +52,9 @@ pub(super) struct ColorOrigin {
     pub(super) family: u8,
 }
 
-/// The rule for radii: the one in the options, otherwise the column `radius` if every source has
-/// one, or [`ROUND_RADIUS`] if points are to be round and every source has that, otherwise
-/// [`Rule::Auto`].
+/// The rule for radii: the one in the options, otherwise [`Rule::Auto`] of a fluid, the column
+/// `radius` if every source has one, the longest semi-axis if every source has these, or
+/// [`ROUND_RADIUS`] if points are to be round and every source has that, otherwise [`Rule::Auto`].
 pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource + '_>]) -> Rule {
     match &options.radius {
         Some(rule) => rule.clone(),
@@ -61,6 +63,7 @@ pub(super) fn radius_rule(options: &BuildOptions, sources: &[Box<dyn PointSource
             Rule::Attribute(ROUND_RADIUS.into())
         }
         None if all_have(sources, "radius") => Rule::Attribute("radius".into()),
+        None if options.shape == ShapeRule::Auto && all_have_axes(sources) => Rule::SemiAxis,
         None => Rule::Auto,
     }
 }
@@ -73,6 +76,10 @@ pub(super) fn weight_rule(options: &BuildOptions, sources: &[Box<dyn PointSource
         None if all_have(sources, "weight") => Rule::Attribute("weight".into()),
         None => Rule::Number(1.0),
     }
+}
+
+fn all_have_axes(sources: &[Box<dyn PointSource + '_>]) -> bool {
+    sources.iter().all(|source| source.schema().axes_of_shapes().is_some())
 }
 
 fn all_have(sources: &[Box<dyn PointSource + '_>], name: &str) -> bool {
@@ -95,7 +102,7 @@ impl Columns {
         };
         let mut of_rule =
             |rule: &Rule| if let Rule::Attribute(name) = rule { Some(place(name)) } else { None };
-        let is_auto = *radius == Rule::Auto;
+        let (is_auto, radius_is_semi_axis) = (*radius == Rule::Auto, *radius == Rule::SemiAxis);
         let (radius, weight) = (of_rule(radius), of_rule(weight));
         let has_color = options.keep_color && sources.iter().any(|source| colors(source.schema()).is_some());
         let degrees = sources.iter().map(|source| source.schema().harmonics().0);
@@ -109,7 +116,7 @@ impl Columns {
             ShapeRule::Fluid if is_auto => ShapesOf::Fluid,
             _ => ShapesOf::Nothing,
         };
-        let has_normals = shapes_of == ShapesOf::Surfaces && of_any(Schema::normals);
+        let has_normals = shapes_of == ShapesOf::Surfaces && of_any(by_normals);
         let attributes: Vec<usize> = options.attributes.iter().map(|name| place(name)).collect();
         for (input, source) in sources.iter().enumerate() {
             if let Some(name) = names.iter().find(|name| source.schema().find(name).is_none()) {
@@ -120,14 +127,14 @@ impl Columns {
         }
         let infos: Vec<ColumnInfo> = options.attributes.iter().map(|name| common(name, sources)).collect();
         let layout = RecordLayout {
-            has_radius: radius.is_some(),
+            has_radius: radius.is_some() || radius_is_semi_axis,
             has_shape: has_axes || has_normals,
             has_weight: weight.is_some(),
             has_color,
             harmonics: degree,
             attributes: infos.iter().map(|info| info.kind).collect(),
         };
-        Ok(Self { layout, names, radius, weight, attributes, shapes_of, infos })
+        Ok(Self { layout, names, radius, radius_is_semi_axis, weight, attributes, shapes_of, infos })
     }
 
     /// The columns to select of source `input`. Those in `names` come first, in their order.
@@ -138,7 +145,7 @@ impl Columns {
             selected.len() - 1
         };
         let shape = match self.layout.has_shape {
-            true if self.shapes_of.are_measured() => schema.normals(),
+            true if self.shapes_of.are_measured() => by_normals(schema),
             true => schema.axes_of_shapes(),
             false => None,
         };
@@ -166,6 +173,11 @@ impl Columns {
 fn colors(schema: &Schema) -> Option<[usize; 3]> {
     let [red, green, blue] = COLORS.map(|name| schema.find(name));
     Some([red?, green?, blue?])
+}
+
+/// The columns by which the points of a source are discs across their normals.
+fn by_normals(schema: &Schema) -> Option<ShapeOrigin> {
+    schema.normals().map(ShapeOrigin::Normal)
 }
 
 /// A column as it is stored: of the common type of all sources, and with their unit if it is the

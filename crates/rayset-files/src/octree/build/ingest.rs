@@ -231,8 +231,11 @@ impl Tally<'_> {
         }
         record.clear();
         p.iter().for_each(|v| record.extend_from_slice(&(v + 0.0).to_le_bytes()));
-        if let Some(column) = columns.radius {
-            let r = batch.columns[column].get(i) * self.options.radius_scale * self.options.length_scale;
+        let shape = self.shape.map_or(Some((0.0, StoredShape::BALL)), |origin| shape(batch, origin, i));
+        let longest = shape.map_or(f64::NAN, |(longest, _)| longest);
+        let given = columns.radius.map(|column| batch.columns[column].get(i));
+        if let Some(r) = given.or(columns.radius_is_semi_axis.then_some(longest)) {
+            let r = r * self.options.radius_scale * self.options.length_scale;
             if !(1.0 / LIMIT..=LIMIT).contains(&r) {
                 totals.skipped.radius += 1;
                 if r > 0.0 && r.is_finite() {
@@ -243,8 +246,7 @@ impl Tally<'_> {
             record.extend_from_slice(&(r as f32).to_le_bytes());
         }
         if columns.layout.has_shape {
-            let Some(shape) = self.shape.map_or(Some(StoredShape::BALL), |origin| shape(batch, origin, i))
-            else {
+            let Some((_, shape)) = shape else {
                 totals.skipped.radius += 1;
                 return Err(
                     "semi-axes that are not all above 0 and finite, or a rotation that is none".into()
@@ -311,19 +313,19 @@ fn append_harmonics(coefficients: impl Fn(usize) -> f64, count: usize, record: &
     }
 }
 
-/// The shape of point `i` of a batch, by semi-axes and rotation; `None` if these are of none. That
-/// of a ball has no rotation, so that balls are equal. By a normal it is a disc; a ball if that is
-/// none.
-fn shape(batch: &PointBatch, origin: ShapeOrigin, i: usize) -> Option<StoredShape> {
+/// The longest semi-axis and the shape of point `i` of a batch, by semi-axes and rotation; `None`
+/// if these are of no ellipsoid. That of a ball has no rotation, so that balls are equal. By a
+/// normal it is a disc; a ball if that is none, and it has no semi-axis.
+fn shape(batch: &PointBatch, origin: ShapeOrigin, i: usize) -> Option<(f64, StoredShape)> {
     let number = |column: usize| batch.columns[column].get(i);
     let columns = match origin {
         ShapeOrigin::Axes(columns) => columns,
         ShapeOrigin::Normal(columns) => {
-            return Some(disc(DVec3::from_array(columns.map(number))).unwrap_or(StoredShape::BALL));
+            return Some((0.0, disc(DVec3::from_array(columns.map(number))).unwrap_or(StoredShape::BALL)));
         }
     };
     let [a, b, c, x, y, z, w] = columns.map(number);
-    let (_, shape) = Shape::of_semi_axes([a, b, c], DQuat::from_xyzw(x, y, z, w))?;
+    let (longest, shape) = Shape::of_semi_axes([a, b, c], DQuat::from_xyzw(x, y, z, w))?;
     let stored = StoredShape::encode(&shape);
-    Some(if stored.decode().is_ball() { StoredShape::BALL } else { stored })
+    Some((longest, if stored.decode().is_ball() { StoredShape::BALL } else { stored }))
 }

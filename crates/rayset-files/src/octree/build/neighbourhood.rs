@@ -4,7 +4,7 @@
 //! plane. Along a wire they lie about a line: it becomes a rod. Where they lie all around, as in
 //! leaves, it becomes a small ball. Between these, shapes change without a jump.
 //!
-//! Where a file says which way its surface faces, a point is a disc that faces there.
+//! Where a file says which way its surface faces, a point is a [`disc`] that faces there.
 //!
 //! With σ₁ ≥ σ₂ ≥ σ₃ the deviations of the neighbours along the axes of their covariance, what is
 //! flat has a small σ₃/σ₂, and what is thin a small σ₂/σ₁. Constants were chosen by measurement
@@ -94,9 +94,11 @@ pub(super) fn disc(normal: DVec3) -> Option<StoredShape> {
     if !(largest > 0.0 && normal.is_finite()) {
         return None;
     }
-    // Either end of it says the same; and half way between z and itself is the axis about which
-    // half a turn takes one to the other.
-    let up = if normal.z < 0.0 { -normal } else { normal };
+    // Either end of it says the same, and is to be stored the same: the last of its components that
+    // is not zero is positive. Half way between z and itself is the axis about which half a turn
+    // takes one to the other.
+    let last = normal.to_array().into_iter().rev().find(|v| *v != 0.0);
+    let up = if last.is_some_and(|v| v < 0.0) { -normal } else { normal };
     let half = (up + DVec3::Z).normalize();
     let rotation = DQuat::from_xyzw(half.x, half.y, half.z, 0.0);
     Some(StoredShape::encode(&Shape { rotation, ratios: [1.0, DISC_THICKNESS] }))
@@ -164,14 +166,20 @@ mod tests {
 
     #[test]
     fn discs_face_along_normals_of_any_length() {
-        for normal in
-            [[0.0, 0.0, 1.0], [0.0, 0.0, -1e-300], [3e200, 0.0, 0.0], [0.6, -0.5, -0.3], [0.1, 0.2, -9.0]]
-        {
+        for normal in [
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, -1e-300],
+            [3e200, 0.0, 0.0],
+            [0.2, -0.7, 0.0],
+            [0.6, -0.5, -0.3],
+            [0.1, 0.2, -9.0],
+        ] {
             let normal = DVec3::from_array(normal);
             let Shape { rotation, ratios } = disc(normal).unwrap().decode();
             let direction = (normal / normal.abs().max_element()).normalize();
             assert!((rotation * DVec3::Z).dot(direction).abs() > 1.0 - 1e-7, "{normal}");
             assert!(ratios[0] == 1.0 && (ratios[1] / DISC_THICKNESS - 1.0).abs() < 1e-3);
+            assert_eq!(disc(normal), disc(-normal), "{normal}");
         }
         for normal in [[0.0; 3], [f64::NAN, 0.0, 1.0], [f64::INFINITY, 0.0, 0.0]] {
             assert_eq!(disc(DVec3::from_array(normal)), None);

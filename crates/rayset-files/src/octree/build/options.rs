@@ -18,6 +18,9 @@ pub enum Rule {
     Attribute(String),
     /// For the radius only: measured from the local spacing of the points.
     Auto,
+    /// For the radius only: the longest semi-axis of each point, of inputs that all have
+    /// [columns of these](crate::points::SHAPE_COLUMNS).
+    SemiAxis,
 }
 
 /// The shapes of points.
@@ -34,8 +37,8 @@ pub enum ShapeRule {
     /// Balls, whatever the inputs say.
     Round,
     /// Those of particles of a fluid, whose radii are measured: flat along its surface, balls
-    /// inside, after Yu & Turk (2013). Radii are measured unless a rule says otherwise, which is an
-    /// error.
+    /// inside, after Yu & Turk (2013). Radii must be measured: any other rule for them is an error,
+    /// and a column `radius` is passed over.
     Fluid,
 }
 
@@ -80,7 +83,8 @@ impl Default for Precision {
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
 pub struct BuildOptions {
     /// Radius of influence. `None`: the column `radius` if every input has one, otherwise
-    /// [`Rule::Auto`].
+    /// [`Rule::SemiAxis`] if every input has semi-axes, otherwise [`Rule::Auto`]; of a
+    /// [fluid](ShapeRule::Fluid) always this.
     pub radius: Option<Rule>,
     /// Scale factor for every radius, whatever `radius` is.
     pub radius_scale: f64,
@@ -242,6 +246,11 @@ pub(super) fn check_options(
             "shapes of a fluid are measured with the radii: give no radius, and a radius scale if need be";
         return wrong("shape", what.into());
     }
+    let has_axes = |source: &dyn PointSource| source.schema().axes_of_shapes().is_some();
+    let have_axes = options.shape == ShapeRule::Auto && sources.iter().all(|source| has_axes(&**source));
+    if options.radius == Some(Rule::SemiAxis) && !have_axes {
+        return wrong("radius", "not all inputs have semi-axes and rotations that are kept".into());
+    }
     match options.radius {
         Some(Rule::Number(r)) if !(1e-18..=1e18).contains(&(r * options.radius_scale)) => {
             return wrong("radius", format!("{} is not between 1e-18 and 1e18", r * options.radius_scale));
@@ -253,6 +262,7 @@ pub(super) fn check_options(
             return wrong("weight", format!("{} is not a number of at most 1e18", w * options.weight_scale));
         }
         Some(Rule::Auto) => return wrong("weight", "only a radius can be `auto`".into()),
+        Some(Rule::SemiAxis) => return wrong("weight", "only a radius can be a semi-axis".into()),
         _ => {}
     }
     Ok(())

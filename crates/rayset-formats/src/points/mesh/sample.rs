@@ -220,11 +220,11 @@ impl PointSource for MeshSource {
             let shares = shares(number);
             let p = a * shares[0] + b * shares[1] + c * shares[2];
             batch.position.push(p.to_array());
-            let normal = (b - a).cross(c - a).normalize_or_zero().to_array();
+            let normal = || (b - a).cross(c - a).normalize_or_zero().to_array();
             let face = self.mesh.face_colors.get(triangle);
             for (column, &channel) in batch.columns.iter_mut().zip(&self.selected) {
                 if let Some(axis) = channel.checked_sub(colors) {
-                    column.push(normal[axis]);
+                    column.push(normal()[axis]);
                     continue;
                 }
                 if let Some(color) = face {
