@@ -281,11 +281,12 @@ def from_table(value: Any, classes: tuple[str, ...] = (), is_chunk: bool = False
     more = found.pop("attributes", None)
     rest = {name: values for name, values in found.items() if _is_numeric(values)}
     points = gather(where, radius, weight, color, {**rest, **(more or {})}, classes, is_chunk)
-    for names in (SEMI_AXES + ROTATION, NORMAL):
+    kinds: tuple[tuple[str, ...], ...] = (SEMI_AXES + ROTATION, NORMAL)
+    for kind in kinds:
         # They say what shape points have, and are kept only if they are named as attributes, too.
-        if all(name in rest for name in names):
+        if all(name in rest for name in kind):
             for one in points.columns:
-                one.is_attribute = one.is_attribute and (one.name not in names or one.name in (more or {}))
+                one.is_attribute = one.is_attribute and (one.name not in kind or one.name in (more or {}))
     return points
 
 

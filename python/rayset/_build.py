@@ -148,7 +148,7 @@ def build(
             built, skipped = _from_chunks(positions, names, options, told)
         else:
             gathered = _gathered(positions, radii, weights, color, attributes, names)
-            given = () if isinstance(shape, str) else _arrays.SEMI_AXES + _arrays.ROTATION
+            given: tuple[str, ...] = () if isinstance(shape, str) else _arrays.SEMI_AXES + _arrays.ROTATION
             given += () if normals is None else _arrays.NORMAL
             _refuse_twice(given, attributes)
             gathered.columns = [one for one in gathered.columns if one.name not in given]
