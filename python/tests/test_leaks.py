@@ -22,6 +22,13 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="
 SLACK = 6 << 20
 
 
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Temporary files of other programs are not counted."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+
+
 def _state() -> tuple[int, int, int, int]:
     gc.collect()
     status = Path("/proc/self/status").read_text()

@@ -246,7 +246,7 @@ fn colours_have_the_names_of_cloudcompare_and_those_of_faces_are_used() {
                  property list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n\
                  0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 200 40 30\n3 0 2 3 40 70 200\n";
     let (schema, points) = read("a.ply", faces);
-    assert_eq!(schema.names().collect::<Vec<_>>(), ["red", "green", "blue"]);
+    assert_eq!(schema.names().collect::<Vec<_>>(), ["red", "green", "blue", "nx", "ny", "nz"]);
     assert!(points.len() > 1000);
     for i in 0..points.len() {
         let [x, y, _] = points.position[i];
