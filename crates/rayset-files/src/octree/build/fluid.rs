@@ -6,8 +6,8 @@
 //! 1 − (d/h)³, has the variances λ₁ ≥ λ₂ ≥ λ₃, and the semi-axes of a particle follow them, none
 //! shorter than a quarter of the longest. There neighbours are those within a distance, and all
 //! particles are moved toward their means. Here neighbours are the 32 nearest, the farthest of
-//! which is at h, so that nothing is to be chosen; variances that differ little, as those of few
-//! neighbours do by chance, make balls; particles stay where they are; and each keeps its volume,
+//! which is at h, so that nothing is to be chosen. Variances that differ little, as those of few
+//! neighbours do by chance, make balls. Particles stay where they are, and each keeps its volume,
 //! about.
 
 use super::neighbourhood::{Suggested, covariance};
