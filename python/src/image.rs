@@ -8,9 +8,10 @@ use numpy::ndarray::{Array2, Array3};
 use numpy::{IntoPyArray, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use rayset::image::{Band, DisplayTransform, ExrBands, LayerPixel, PngBands};
+use rayset::image::{Band, ExrBands, LayerPixel, PngBands};
 use rayset::output::{Destination, OutputFile};
 use rayset::storage::shown;
+use rayset_inputs::Pixels;
 
 use crate::errors;
 use crate::room::{self, TooLarge};
@@ -20,7 +21,7 @@ use crate::wait::lock;
 #[pyclass(frozen, module = "rayset._native")]
 pub(crate) struct Picture {
     pub(crate) picture: rayset::Picture,
-    pub(crate) display: DisplayTransform,
+    pub(crate) pixels: Pixels,
     /// The upper left corner in the whole picture, and the size of that.
     pub(crate) corner: (u32, u32),
     pub(crate) whole: (u32, u32),
@@ -54,14 +55,16 @@ impl Picture {
 
     fn write_png(&self, output: impl Write + 'static) -> Result<(), String> {
         let (width, height) = (self.picture.width, self.picture.height);
-        let mut png = PngBands::new(output, width, height, self.display).map_err(|e| e.to_string())?;
+        let mut png = PngBands::new(output, width, height, self.pixels.display_transform)
+            .map_err(|e| e.to_string())?;
         png.write(&self.band()).map_err(|e| e.to_string())?;
         png.finish().map_err(|e| e.to_string())
     }
 
     fn write_exr<W: Write + Seek + Send + 'static>(&self, output: W) -> Result<(), String> {
         let size = (self.picture.width, self.picture.height);
-        let mut exr = ExrBands::new(output, size, self.corner, self.whole).map_err(|e| e.to_string())?;
+        let exr = ExrBands::with_comment(output, size, self.corner, self.whole, self.pixels.remark());
+        let mut exr = exr.map_err(|e| e.to_string())?;
         exr.write(&self.band()).map_err(|e| e.to_string())?;
         exr.finish().map_err(|e| e.to_string())
     }
@@ -155,7 +158,7 @@ impl Picture {
     fn rgba8<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let mut bytes = self.numbers::<u8>(4)?;
         py.detach(|| {
-            let encode = self.display.rgba8();
+            let encode = self.pixels.display_transform.rgba8();
             bytes.extend(self.picture.pixels.iter().flat_map(|&pixel| encode(pixel)));
         });
         self.array(py, bytes, 4)

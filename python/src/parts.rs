@@ -7,11 +7,11 @@ use std::sync::Arc;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
-use rayset::image::{DisplayTransform, ToneMapping};
 use rayset::parts::{Joined, Part, PartOptions, Share};
 use rayset::scene::{Camera, Projection};
 use rayset::storage::{self, MemoryStorage, Storage};
 use rayset::{CancelToken, Region, SimdLevel};
+use rayset_inputs::Pixels;
 use rayset_inputs::look::{Turntable, standing_back};
 
 use crate::errors;
@@ -29,23 +29,6 @@ const HELD_PIXELS: u64 = 1 << 18;
 #[pyfunction]
 pub(crate) fn instructions() -> Vec<(&'static str, bool)> {
     SimdLevel::available().into_iter().map(|level| (level.name(), level.is_fused())).collect()
-}
-
-/// How the picture is displayed, which is in each part besides pixels.
-fn note(display: DisplayTransform) -> Vec<u8> {
-    let mut bytes = display.exposure.to_le_bytes().to_vec();
-    bytes.push(u8::from(display.tone_mapping == ToneMapping::Filmic));
-    bytes
-}
-
-fn display(note: &[u8]) -> Option<DisplayTransform> {
-    let (exposure, tone_mapping) = note.split_at_checked(8)?;
-    let tone_mapping = match tone_mapping {
-        [0] => ToneMapping::None,
-        [1] => ToneMapping::Filmic,
-        _ => return None,
-    };
-    Some(DisplayTransform { exposure: f64::from_le_bytes(exposure.try_into().ok()?), tone_mapping })
 }
 
 /// Renders share `number` of `of` of a picture, or of a smaller one whose pixels are squares of
@@ -68,7 +51,7 @@ pub(crate) fn render_part<'py>(
     let (cancel, progress) = (CancelToken::new(), Progress::default());
     let work = || {
         let shot = session.shot(&engine, &wanted)?;
-        let options = PartOptions::new(share).with_note(note(shot.display)).with_held_pixels(HELD_PIXELS);
+        let options = PartOptions::new(share).with_note(shot.pixels.encode().to_vec()).with_held_pixels(HELD_PIXELS);
         let mut bytes = Vec::new();
         let mut tell = |done, total| progress.set("tracing", done, total);
         let (view, region) = if edge <= 1 { (shot.view()?, shot.region.clone()) } else { shot.coarse(edge)? };
@@ -94,7 +77,7 @@ fn joined(parts: Vec<Named>, partly: bool) -> Result<(Joined, Picture), Failure>
     room::check(region.pixels(), PIXEL_BYTES, "the picture of these parts", "join fewer of them, by crop=")?;
     let picture = Picture {
         picture: joined.picture()?,
-        display: display(joined.note()).unwrap_or_default(),
+        pixels: Pixels::decode(joined.note()).unwrap_or_default(),
         corner: (region.columns.start, region.rows.start),
         whole: joined.size(),
     };

@@ -6,7 +6,7 @@ use std::thread::JoinHandle;
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use rayset::image::{Band, DisplayTransform};
+use rayset::image::Band;
 use rayset::memory::Kind as PageKind;
 use rayset::parts::PartError;
 use rayset::scene::{Camera, Samples};
@@ -16,6 +16,7 @@ use rayset::{
     BandSink, CancelToken, Cloud, Grid, ParseError, PreparedScene, Region, RenderError, SimdLevel, SinkError,
     View,
 };
+use rayset_inputs::Pixels;
 
 use crate::errors::{self, Kind};
 use crate::files::{CloudFile, GridFile};
@@ -158,7 +159,7 @@ impl Wanted {
 pub(crate) struct Shot {
     prepared: PreparedScene,
     camera: Camera,
-    pub(crate) display: DisplayTransform,
+    pub(crate) pixels: Pixels,
     size: (u32, u32),
     samples: Samples,
     pub(crate) region: Region,
@@ -197,7 +198,7 @@ impl Shot {
         view.render_bands(region, rows, cancel, &mut sink)?;
         Ok(Picture {
             picture: sink.picture,
-            display: self.display,
+            pixels: self.pixels,
             corner: (region.columns.start, region.rows.start),
             whole: self.size,
         })
@@ -264,7 +265,10 @@ impl Session {
         Ok(Shot {
             prepared,
             camera: file.camera,
-            display: file.display_transform,
+            pixels: Pixels {
+                display_transform: file.display_transform,
+                compositing: file.scene.compositing,
+            },
             size,
             samples: file.settings.samples,
             region: region(wanted.crop, size)?,

@@ -1,24 +1,22 @@
 //! What a part of a picture has besides pixels: how they are displayed, and what is drawn over
 //! them.
 
-use rayset::image::{DisplayTransform, ToneMapping};
+use rayset_inputs::Pixels;
 
 use crate::annotate::{Mount, Overlay};
 
 /// What whoever merges needs besides pixels.
 pub(crate) struct Note {
-    pub(crate) display_transform: DisplayTransform,
+    pub(crate) pixels: Pixels,
     /// The sheet that the picture has its place on.
     pub(crate) mount: Option<Mount>,
     pub(crate) overlay: Option<Overlay>,
 }
 
 impl Note {
-    /// As bytes: the exposure, the tone mapping, the sheet, and the pixels that are laid over the
-    /// picture, if any.
+    /// As bytes: what pixels are, the sheet, and the pixels that are laid over the picture, if any.
     pub(crate) fn encode(&self) -> Vec<u8> {
-        let mut bytes = self.display_transform.exposure.to_le_bytes().to_vec();
-        bytes.push(u8::from(self.display_transform.tone_mapping == ToneMapping::Filmic));
+        let mut bytes = self.pixels.encode().to_vec();
         bytes.push(u8::from(self.mount.is_some()));
         bytes.extend(self.mount.as_ref().map(Mount::encode).unwrap_or_default());
         bytes.push(u8::from(self.overlay.is_some()));
@@ -28,12 +26,7 @@ impl Note {
 
     /// What [`encode`](Self::encode) made bytes of; `None` if they are anything else.
     pub(crate) fn decode(mut bytes: &[u8]) -> Option<Self> {
-        let exposure = f64::from_le_bytes(bytes.split_off(..8)?.try_into().ok()?);
-        let tone_mapping = match bytes.split_off_first()? {
-            0 => ToneMapping::None,
-            1 => ToneMapping::Filmic,
-            _ => return None,
-        };
+        let pixels = Pixels::decode(bytes.split_off(..Pixels::BYTES)?)?;
         let mount = match bytes.split_off_first()? {
             0 => None,
             1 => Some(Mount::decode(&mut bytes)?),
@@ -44,20 +37,23 @@ impl Note {
             (1, rest) => Some(Overlay::decode(rest)?),
             _ => return None,
         };
-        Some(Self { display_transform: DisplayTransform { exposure, tone_mapping }, mount, overlay })
+        Some(Self { pixels, mount, overlay })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rayset::image::{DisplayTransform, ToneMapping};
+    use rayset::scene::Compositing;
 
     #[test]
     fn notes_come_back_and_anything_else_is_none() {
         let display_transform = DisplayTransform { exposure: -1.3, tone_mapping: ToneMapping::Filmic };
-        let note = Note { display_transform, mount: None, overlay: None };
+        let pixels = Pixels { display_transform, compositing: Compositing::Display };
+        let note = Note { pixels, mount: None, overlay: None };
         let back = Note::decode(&note.encode()).expect("a note");
-        assert_eq!(back.display_transform, display_transform);
+        assert_eq!(back.pixels, pixels);
         assert!(back.overlay.is_none());
         let overlay = Overlay::decode(&[]);
         let mut bytes = Note { overlay, ..note }.encode();
@@ -76,6 +72,6 @@ mod tests {
         let mount = Mount { origin: (0, 0), size: (9, 9), place: (1, 2), background: [0.5; 4] };
         let mounted = Note { mount: Some(mount), ..Note::decode(&bytes).expect("a note") };
         assert_eq!(Note::decode(&mounted.encode()).expect("a note").mount, Some(mount));
-        assert!(Note::decode(&[0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0]).is_none());
+        assert!(Note::decode(&[0, 0, 0, 0, 0, 0, 0, 0, 4, 0, 0]).is_none());
     }
 }

@@ -28,10 +28,8 @@ pub(crate) fn write_joined(
     let note = Note::decode(joined.note()).with_context(|| {
         format!("cannot write {}: its parts are of no render by this program", output.path().display())
     })?;
-    let (region, size, display) = (joined.region(), joined.size(), note.display_transform);
-    let mut sink = PictureSink::create(output, &region, size, display, note.mount, joining.comment)?
-        .doing(joining.doing)
-        .under(note.overlay);
+    let mut sink = PictureSink::create(output, &joined.region(), joined.size(), note, joining.comment)?
+        .doing(joining.doing);
     if let Some(census) = joining.census {
         sink = sink.seen_by(census);
     }

@@ -32,7 +32,7 @@ pub(super) fn options(
     overlay: Option<Overlay>,
     mount: Option<Mount>,
 ) -> Result<PartOptions> {
-    let note = Note { display_transform: shot.display_transform, mount, overlay };
+    let note = Note { pixels: shot.pixels(), mount, overlay };
     Ok(PartOptions::new(share).with_note(note.encode()).with_build(build()?))
 }
 

@@ -17,6 +17,7 @@ use super::shot::Shot;
 use super::sink::PictureSink;
 use super::work::Work;
 use crate::annotate::{Mount, Overlay};
+use crate::part_note::Note;
 use rayset_terminal::report::{bytes, remark};
 
 /// What is rendered, and by what means.
@@ -42,11 +43,10 @@ impl Rendering<'_> {
         let (shot, settings) = (self.shot, &self.shot.settings);
         let (started, view) = self.begin(camera)?;
         let whole = (settings.width, settings.height);
-        let display = shot.display_transform;
-        let mut sink = PictureSink::create(output, &self.region, whole, display, self.mount, "")?
+        let note = Note { pixels: shot.pixels(), mount: self.mount, overlay };
+        let mut sink = PictureSink::create(output, &self.region, whole, note, "")?
             .seen_by(self.census())
-            .advised(self.advice())
-            .under(overlay);
+            .advised(self.advice());
         let counts = view.render_bands(&self.region, self.plan.band_rows, &CancelToken::new(), &mut sink)?;
         let census = sink.finish()?;
         let report = self.report(counts, started.elapsed(), output);

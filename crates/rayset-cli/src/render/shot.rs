@@ -14,7 +14,7 @@ use super::args::RenderArgs;
 use super::warnings;
 use super::work::DEFAULT_MEMORY;
 use crate::annotate::{Annotations, Mount, Sheet};
-use rayset_inputs::{Input, Opened};
+use rayset_inputs::{Input, Opened, Pixels};
 
 use crate::input::{self, Resources};
 use rayset_inputs::look::{self, Chosen, Picture, Turntable};
@@ -47,6 +47,11 @@ pub(super) struct Shot {
 }
 
 impl Shot {
+    /// What its pixels are.
+    pub(super) fn pixels(&self) -> Pixels {
+        Pixels { display_transform: self.display_transform, compositing: self.scene.compositing }
+    }
+
     pub(super) fn new(args: &RenderArgs) -> Result<Self> {
         let resources = Resources {
             memory: args.work.memory.unwrap_or(DEFAULT_MEMORY),

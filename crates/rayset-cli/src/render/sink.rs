@@ -3,13 +3,14 @@
 use std::io::BufWriter;
 
 use anyhow::{Context, Result, bail};
-use rayset::image::{Band, DisplayTransform, ExrBands, PngBands};
+use rayset::image::{Band, ExrBands, PngBands};
 use rayset::output::{Destination, OutputFile, OutputWriter};
 use rayset::{BandSink, Region, SinkError};
 
 use super::advice::Advice;
 use super::sanity::Census;
 use crate::annotate::{Mount, Overlay};
+use crate::part_note::Note;
 use rayset_terminal::progress::Meter;
 
 /// Picture formats, by file extension.
@@ -66,30 +67,33 @@ enum Encoder {
 }
 
 impl<'a> PictureSink<'a> {
-    /// For a region of a picture whose size is `whole`, by itself or mounted on a sheet; with a
-    /// comment, unless it is empty.
+    /// For a region of a picture whose size is `whole`, with what its note says; with a comment,
+    /// unless it is empty.
     pub(crate) fn create(
         to: &Destination,
         region: &Region,
         whole: (u32, u32),
-        display_transform: DisplayTransform,
-        mount: Option<Mount>,
+        note: Note,
         comment: &str,
     ) -> Result<Self> {
         let doing = || format!("cannot write {}", to.path().display());
         let format = Format::of(to)?;
         let file = OutputFile::create(to)?;
         let output = BufWriter::new(file.writer());
+        let Note { pixels, mount, overlay } = note;
         let (columns, rows) = (region.columns.len() as u32, region.rows.len() as u32);
         let (width, height) = mount.map_or((columns, rows), |mount| mount.size);
         let encoder = match format {
             Format::Png => {
-                let png = PngBands::with_comment(output, width, height, display_transform, comment);
+                let display = pixels.display_transform;
+                let png = PngBands::with_comment(output, width, height, display, comment);
                 Encoder::Png(Box::new(png.with_context(doing)?))
             }
             Format::Exr => {
+                let remarks = [comment, pixels.remark()];
+                let comment = remarks.into_iter().filter(|r| !r.is_empty()).collect::<Vec<_>>().join("\n");
                 let corner = (region.columns.start, region.rows.start);
-                let exr = ExrBands::with_comment(output, (width, height), corner, whole, comment);
+                let exr = ExrBands::with_comment(output, (width, height), corner, whole, &comment);
                 Encoder::Exr(exr.with_context(doing)?)
             }
         };
@@ -101,7 +105,7 @@ impl<'a> PictureSink<'a> {
             doing: "tracing",
             census: None,
             advice: None,
-            overlay: None,
+            overlay,
             left: mount.map_or(region.columns.start, |mount| mount.origin.0),
             margin: mount.map(|mount| Margin {
                 mount,
@@ -115,11 +119,6 @@ impl<'a> PictureSink<'a> {
     /// With another word for what is being done.
     pub(crate) fn doing(self, doing: &'static str) -> Self {
         Self { doing, ..self }
-    }
-
-    /// With something laid over the picture, if anything.
-    pub(crate) fn under(self, overlay: Option<Overlay>) -> Self {
-        Self { overlay, ..self }
     }
 
     /// With somebody who looks at the pixels.

@@ -497,6 +497,33 @@ fn ply(path: &Path, more: &str, points: impl Iterator<Item = String>) {
     fs::write(path, text).expect("a write");
 }
 
+/// The comment in a file of OpenEXR.
+fn comment_of(path: &Path) -> Option<String> {
+    let meta = exr::meta::MetaData::read_from_file(path, false).expect("a picture");
+    meta.headers[0].own_attributes.comments.as_ref().map(ToString::to_string)
+}
+
+#[test]
+fn pictures_of_linear_light_say_if_they_were_composited_in_display_values() {
+    let folder = folder();
+    let f = folder.path();
+    let bundle = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rayset/tests/fixtures/splats/bundle.sog");
+    let bundle = bundle.to_str().expect("a name");
+    let render = |output: &str, more: &[&str]| {
+        succeeds(f, &[&["render", bundle, "-o", output, "--size", "40x40"][..], more].concat())
+    };
+    render("whole.exr", &[]);
+    render("linear.exr", &["--compositing", "linear"]);
+    render("1.part", &["--part", "1/2", "--layers"]);
+    render("2.part", &["--part", "2/2", "--layers"]);
+    succeeds(f, &["merge", "1.part", "2.part", "-o", "merged.exr"]);
+    assert_eq!(comment_of(&f.join("linear.exr")), None);
+    let comment = comment_of(&f.join("whole.exr")).expect("a comment");
+    assert!(comment.starts_with("composited in display values (sRGB)"), "{comment}");
+    assert_eq!(comment_of(&f.join("merged.exr")).as_ref(), Some(&comment));
+    assert_eq!(fs::read(f.join("merged.exr")).ok(), fs::read(f.join("whole.exr")).ok());
+}
+
 /// Points on the sides of a box.
 fn sides([a, b, c]: [f64; 3]) -> impl Iterator<Item = [f64; 3]> {
     (0..6 * 400).map(move |i| {
