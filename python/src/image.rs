@@ -55,8 +55,8 @@ impl Picture {
 
     fn write_png(&self, output: impl Write + 'static) -> Result<(), String> {
         let (width, height) = (self.picture.width, self.picture.height);
-        let mut png = PngBands::new(output, width, height, self.pixels.display_transform)
-            .map_err(|e| e.to_string())?;
+        let mut png =
+            PngBands::new(output, width, height, self.pixels.display_transform).map_err(|e| e.to_string())?;
         png.write(&self.band()).map_err(|e| e.to_string())?;
         png.finish().map_err(|e| e.to_string())
     }

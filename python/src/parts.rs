@@ -51,7 +51,8 @@ pub(crate) fn render_part<'py>(
     let (cancel, progress) = (CancelToken::new(), Progress::default());
     let work = || {
         let shot = session.shot(&engine, &wanted)?;
-        let options = PartOptions::new(share).with_note(shot.pixels.encode().to_vec()).with_held_pixels(HELD_PIXELS);
+        let options =
+            PartOptions::new(share).with_note(shot.pixels.encode().to_vec()).with_held_pixels(HELD_PIXELS);
         let mut bytes = Vec::new();
         let mut tell = |done, total| progress.set("tracing", done, total);
         let (view, region) = if edge <= 1 { (shot.view()?, shot.region.clone()) } else { shot.coarse(edge)? };

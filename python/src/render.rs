@@ -265,10 +265,7 @@ impl Session {
         Ok(Shot {
             prepared,
             camera: file.camera,
-            pixels: Pixels {
-                display_transform: file.display_transform,
-                compositing: file.scene.compositing,
-            },
+            pixels: Pixels { display_transform: file.display_transform, compositing: file.scene.compositing },
             size,
             samples: file.settings.samples,
             region: region(wanted.crop, size)?,

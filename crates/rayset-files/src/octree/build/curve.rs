@@ -336,9 +336,11 @@ impl Curve<'_> {
             if distance.is_finite() { RADII_PER_DISTANCE * scale * distance } else { 0.0 }
         };
         let suggest = |near: &[[f32; 3]]| self.shapes_of.by_neighbours(near);
-        let suggested = search.neighbours().map(|near| near.map_or(Suggested::NOTHING, suggest));
-        let of_place = |(distance, suggested)| OfPlace { radius: radius(distance), suggested };
-        let mut of_places: Vec<OfPlace> = search.distances().zip(suggested).map(of_place).collect();
+        let of_place = |(distance, near): (f64, Option<&[[f32; 3]]>)| OfPlace {
+            radius: radius(distance),
+            suggested: near.map_or(Suggested::NOTHING, suggest),
+        };
+        let mut of_places: Vec<OfPlace> = search.found().map(of_place).collect();
         let of_records = place_of_record.into_iter().map(|place| of_places[place as usize]).collect();
         if continued.is_some() {
             of_places.remove(0);

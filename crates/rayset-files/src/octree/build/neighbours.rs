@@ -5,10 +5,16 @@
 //! distances, and then only those count whose boxes are nearer than that. Results are exact, so
 //! they do not depend on how points were cut into stretches.
 
+use std::ops::Range;
+
 use rayset_base::geometry::{Aabb, DVec3};
 
 /// Number of points in a stretch.
 pub(super) const STRETCH: usize = 32;
+/// Number of points whose distances are compared at once.
+const FEW: usize = 4;
+/// Number of stretches that have a box together.
+const GROUP: usize = 32;
 /// The neighbour whose distance is measured; a point is its own neighbour 0.
 pub(super) const NEIGHBOUR: usize = 8;
 /// Points that are looked for, themselves included, where only that distance counts.
@@ -33,31 +39,72 @@ impl<const LEN: usize> Nearest<LEN> {
     /// Whether offsets are kept.
     const HAS_OFFSETS: bool = LEN > FOR_DISTANCE;
 
-    /// Whether points at this squared distance may be among them.
-    fn may_include(&self, square: f64) -> bool {
-        let farthest = self.squares[LEN - 1];
-        square < farthest || (Self::HAS_OFFSETS && square == farthest)
+    /// The nearest of some points at these squared distances, and `offsets` from it. Those of
+    /// `likely`, at most `LEN`, are taken first: if they are near, most others need no place.
+    fn of(squares: &[f64], likely: Range<usize>, offset: impl Fn(usize) -> [f32; 3]) -> Self {
+        let mut nearest = Self::NONE;
+        for (at, i) in likely.clone().enumerate() {
+            nearest.squares[at] = squares[i];
+            if Self::HAS_OFFSETS {
+                nearest.offsets[at] = offset(i);
+            }
+            nearest.sink(at);
+        }
+        nearest.include_all(&squares[..likely.start], &offset);
+        nearest.include_all(&squares[likely.end..], |i| offset(likely.end + i));
+        nearest
     }
 
+    fn farthest(&self) -> f64 {
+        self.squares[LEN - 1]
+    }
+
+    /// Whether points at this squared distance may be among them.
+    fn may_include(&self, square: f64) -> bool {
+        square < self.farthest() || (Self::HAS_OFFSETS && square == self.farthest())
+    }
+
+    /// Includes a point instead of the last one, if it comes before that.
     fn include(&mut self, square: f64, offset: impl FnOnce() -> [f32; 3]) {
         if !self.may_include(square) {
             return;
         }
         let offset = if Self::HAS_OFFSETS { offset() } else { [0.0; 3] };
-        let comes_before = |other: f64, place: [f32; 3]| {
-            other > square || (Self::HAS_OFFSETS && other == square && place > offset)
-        };
-        let mut at = LEN;
-        while at > 0 && comes_before(self.squares[at - 1], self.offsets[at - 1]) {
-            at -= 1;
-        }
-        if at == LEN {
+        if square == self.farthest() && offset >= self.offsets[LEN - 1] {
             return;
         }
-        self.squares.copy_within(at..LEN - 1, at + 1);
+        (self.squares[LEN - 1], self.offsets[LEN - 1]) = (square, offset);
+        self.sink(LEN - 1);
+    }
+
+    /// Includes points at these squared distances.
+    fn include_all(&mut self, squares: &[f64], offset: impl Fn(usize) -> [f32; 3]) {
+        for (few, squares) in squares.chunks(FEW).enumerate() {
+            // Of most few, none is near enough: one comparison for all of them.
+            let least = squares.iter().fold(f64::INFINITY, |a, &b| if b < a { b } else { a });
+            if self.may_include(least) {
+                (few * FEW..).zip(squares).for_each(|(i, &square)| self.include(square, || offset(i)));
+            }
+        }
+    }
+
+    /// Brings what stands at a place before those that it comes before.
+    fn sink(&mut self, from: usize) {
+        let (square, offset) = (self.squares[from], self.offsets[from]);
+        let mut at = from;
+        while at > 0 {
+            let before = self.squares[at - 1];
+            if before < square || (before == square && self.offsets[at - 1] <= offset) {
+                break;
+            }
+            self.squares[at] = before;
+            if Self::HAS_OFFSETS {
+                self.offsets[at] = self.offsets[at - 1];
+            }
+            at -= 1;
+        }
         self.squares[at] = square;
         if Self::HAS_OFFSETS {
-            self.offsets.copy_within(at..LEN - 1, at + 1);
             self.offsets[at] = offset;
         }
     }
@@ -68,19 +115,25 @@ impl<const LEN: usize> Nearest<LEN> {
 pub(super) struct Stretches {
     axes: [Vec<f64>; 3],
     boxes: Vec<Aabb>,
+    /// Each of [`GROUP`] boxes.
+    boxes_of_boxes: Vec<Aabb>,
 }
 
 impl Stretches {
     pub(super) fn clear(&mut self) {
         self.axes.iter_mut().for_each(Vec::clear);
         self.boxes.clear();
+        self.boxes_of_boxes.clear();
     }
 
     pub(super) fn push(&mut self, position: [f64; 3]) {
         if self.len().is_multiple_of(STRETCH) {
+            if self.boxes.len().is_multiple_of(GROUP) {
+                self.boxes_of_boxes.push(Aabb::EMPTY);
+            }
             self.boxes.push(Aabb::EMPTY);
         }
-        if let Some(last) = self.boxes.last_mut() {
+        for last in self.boxes.last_mut().into_iter().chain(self.boxes_of_boxes.last_mut()) {
             last.include(DVec3::from_array(position));
         }
         self.axes.iter_mut().zip(position).for_each(|(axis, v)| axis.push(v));
@@ -90,7 +143,7 @@ impl Stretches {
         self.axes[0].len()
     }
 
-    fn points(&self, stretch: usize) -> std::ops::Range<usize> {
+    fn points(&self, stretch: usize) -> Range<usize> {
         stretch * STRETCH..((stretch + 1) * STRETCH).min(self.len())
     }
 
@@ -98,18 +151,40 @@ impl Stretches {
         DVec3::new(self.axes[0][i], self.axes[1][i], self.axes[2][i])
     }
 
-    /// Adds the points of a stretch to the nearest of `point`.
-    fn collect<const LEN: usize>(&self, stretch: usize, point: DVec3, nearest: &mut Nearest<LEN>) {
-        let range = self.points(stretch);
+    /// The squared distances of some points from `point`, and a function to the vectors from it.
+    fn around<'a>(
+        &'a self,
+        range: Range<usize>,
+        point: DVec3,
+        squares: &mut [f64],
+    ) -> impl Fn(usize) -> [f32; 3] + 'a {
         let [x, y, z] = &self.axes;
         let (x, y, z) = (&x[range.clone()], &y[range.clone()], &z[range]);
-        let mut squares = [f64::INFINITY; STRETCH];
         for (((square, x), y), z) in squares.iter_mut().zip(x).zip(y).zip(z) {
             *square = (x - point.x).powi(2) + (y - point.y).powi(2) + (z - point.z).powi(2);
         }
-        for (i, square) in squares.into_iter().enumerate().take(x.len()) {
-            nearest.include(square, || [x[i] - point.x, y[i] - point.y, z[i] - point.z].map(|v| v as f32));
-        }
+        move |i| [x[i] - point.x, y[i] - point.y, z[i] - point.z].map(|v| v as f32)
+    }
+
+    /// Adds the points of a stretch to the nearest of `point`.
+    fn collect<const LEN: usize>(&self, stretch: usize, point: DVec3, nearest: &mut Nearest<LEN>) {
+        let mut squares = [0.0; STRETCH];
+        let range = self.points(stretch);
+        let squares = &mut squares[..range.len()];
+        let offset = self.around(range, point, squares);
+        nearest.include_all(squares, offset);
+    }
+
+    /// The boxes of stretches that are near enough to `bounds` for a neighbour within `reach`.
+    fn within<const LEN: usize>(&self, bounds: &Aabb, reach: f64) -> impl Iterator<Item = usize> + '_ {
+        let bounds = *bounds;
+        let is_near = move |other: &Aabb| Search::<LEN>::is_within(square_between(&bounds, other), reach);
+        let groups = self.boxes_of_boxes.iter().enumerate().filter(move |(_, group)| is_near(group));
+        let boxes = groups.flat_map(|(number, _)| {
+            let first = number * GROUP;
+            first..(first + GROUP).min(self.boxes.len())
+        });
+        boxes.filter(move |&number| is_near(&self.boxes[number]))
     }
 }
 
@@ -142,25 +217,36 @@ impl<'a, const LEN: usize> Search<'a, LEN> {
                 break;
             }
             let beside = stretch.saturating_sub(1)..(stretch + 2).min(queries.boxes.len());
-            search.visit(stretch, queries, &[stretch]);
+            search.begin(stretch, &(queries.points(beside.start).start..queries.points(beside.end - 1).end));
+            let near = queries.within::<LEN>(&queries.boxes[stretch], search.reach[stretch]);
             candidates.clear();
-            candidates.extend(beside.clone().filter(|&other| other != stretch));
-            search.visit(stretch, queries, &candidates);
-            let (bounds, reach) = (queries.boxes[stretch], search.reach[stretch]);
-            candidates.clear();
-            candidates.extend((0..queries.boxes.len()).filter(|other| {
-                let square = square_between(&bounds, &queries.boxes[*other]);
-                !beside.contains(other) && Self::is_within(square, reach)
-            }));
+            candidates.extend(near.filter(|other| !beside.contains(other)));
             search.visit(stretch, queries, &candidates);
         }
         search
     }
 
+    /// Looks among the points of a stretch, and of those beside it, for the neighbours of its own.
+    /// Those before and behind a point in Hilbert order are mostly among the nearest.
+    fn begin(&mut self, stretch: usize, about: &Range<usize>) {
+        let mut squares = [0.0; 3 * STRETCH];
+        let squares = &mut squares[..about.len()];
+        for i in self.queries.points(stretch) {
+            let offset = self.queries.around(about.clone(), self.queries.point(i), squares);
+            let first = (i - about.start).saturating_sub(LEN / 2);
+            self.nearest[i] = Nearest::of(squares, first..(first + LEN).min(about.len()), offset);
+        }
+        self.note_reach(stretch);
+    }
+
+    fn note_reach(&mut self, stretch: usize) {
+        let nearest = &self.nearest[self.queries.points(stretch)];
+        self.reach[stretch] = nearest.iter().fold(0.0, |reach, nearest| nearest.farthest().max(reach));
+    }
+
     /// Adds stretches of `others` to the neighbours of the points of a stretch, where they are near
     /// enough.
     fn visit(&mut self, stretch: usize, others: &Stretches, candidates: &[usize]) {
-        let mut reach = 0.0_f64;
         for i in self.queries.points(stretch) {
             let (point, nearest) = (self.queries.point(i), &mut self.nearest[i]);
             for &other in candidates {
@@ -168,9 +254,8 @@ impl<'a, const LEN: usize> Search<'a, LEN> {
                     others.collect(other, point, nearest);
                 }
             }
-            reach = reach.max(nearest.squares[LEN - 1]);
         }
-        self.reach[stretch] = reach;
+        self.note_reach(stretch);
     }
 
     /// Whether a point in `bounds` could be a neighbour.
@@ -185,10 +270,7 @@ impl<'a, const LEN: usize> Search<'a, LEN> {
         for stretch in 0..self.reach.len() {
             let (bounds, reach) = (self.queries.boxes[stretch], self.reach[stretch]);
             candidates.clear();
-            candidates.extend(
-                (0..others.boxes.len())
-                    .filter(|&other| Self::is_within(square_between(&bounds, &others.boxes[other]), reach)),
-            );
+            candidates.extend(others.within::<LEN>(&bounds, reach));
             if !candidates.is_empty() {
                 self.visit(stretch, others, &candidates);
             }
@@ -202,17 +284,14 @@ impl<'a, const LEN: usize> Search<'a, LEN> {
         (bounds, self.reach.iter().fold(0.0, |a: f64, &b| a.max(b)))
     }
 
-    /// The distance of each point to its neighbour; infinite where there are not so many points.
-    pub(super) fn distances(&self) -> impl Iterator<Item = f64> + '_ {
-        self.nearest.iter().map(|nearest| nearest.squares[NEIGHBOUR].sqrt())
-    }
-
-    /// The vectors from each point to the nearest ones, itself included; `None` where there are not
-    /// so many points, or it was not asked where they lie.
-    pub(super) fn neighbours(&self) -> impl Iterator<Item = Option<&[[f32; 3]]>> + '_ {
+    /// What was found of each point: the distance to its neighbour, infinite where there are not so
+    /// many points; and the vectors to the nearest ones, itself included, the nearest first. These
+    /// are `None` where there are not so many points, or it was not asked where they lie.
+    pub(super) fn found(&self) -> impl Iterator<Item = (f64, Option<&[[f32; 3]]>)> + '_ {
         self.nearest.iter().map(|nearest| {
-            let are_known = Nearest::<LEN>::HAS_OFFSETS && nearest.squares[LEN - 1].is_finite();
-            are_known.then_some(nearest.offsets.as_slice())
+            let are_known = Nearest::<LEN>::HAS_OFFSETS && nearest.farthest().is_finite();
+            let offsets = are_known.then_some(nearest.offsets.as_slice());
+            (nearest.squares[NEIGHBOUR].sqrt(), offsets)
         })
     }
 }
@@ -268,7 +347,7 @@ mod tests {
             points[cut..].iter().for_each(|&p| second.push(p));
             let mut search = Search::<FOR_DISTANCE>::among(&first, || true);
             search.extend(&second);
-            for (p, found) in points.iter().zip(search.distances()) {
+            for (p, (found, _)) in points.iter().zip(search.found()) {
                 assert_eq!(found, brute_force(&points, *p), "{p:?}, cut at {cut}");
             }
         }
@@ -280,16 +359,20 @@ mod tests {
         let mut points: Vec<[f64; 3]> =
             (0..1500).map(|i| [f64::from(i % 40), f64::from(i / 40), 0.0]).collect();
         let mut found = Vec::new();
-        for cut in [32, 512, 1500] {
+        let mut state = 1_usize;
+        for cut in [32, 512, 1500, 900, 700] {
             let (mut first, mut second) = (Stretches::default(), Stretches::default());
             points[..cut].iter().for_each(|&p| first.push(p));
             points[cut..].iter().for_each(|&p| second.push(p));
             let mut search = Search::<FOR_SHAPE>::among(&first, || true);
             search.extend(&second);
-            let of_first = points.iter().zip(search.neighbours());
+            let of_first = points.iter().zip(search.found());
             let place = of_first.filter(|(p, _)| **p == [7.0, 0.0, 0.0] || **p == [20.0, 20.0, 0.0]);
-            found.extend(place.map(|(p, offsets)| (p[0] as u32, offsets.unwrap().to_vec())));
-            points.reverse();
+            found.extend(place.map(|(p, (_, offsets))| (p[0] as u32, offsets.unwrap().to_vec())));
+            for end in (1..points.len()).rev() {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                points.swap(end, (state >> 33) % (end + 1));
+            }
         }
         found.sort_by_key(|(x, _)| *x);
         found.dedup();
@@ -301,6 +384,6 @@ mod tests {
     fn too_few_points_have_no_distance() {
         let mut few = Stretches::default();
         (0..NEIGHBOUR).for_each(|i| few.push([i as f64, 0.0, 0.0]));
-        assert!(Search::<FOR_DISTANCE>::among(&few, || true).distances().all(f64::is_infinite));
+        assert!(Search::<FOR_DISTANCE>::among(&few, || true).found().all(|(d, _)| d.is_infinite()));
     }
 }
