@@ -55,6 +55,26 @@ const fn turns() -> [[u8; 8]; 24] {
     table
 }
 
+/// The same of two levels at once: for each orientation and each octant of an octant, the upper
+/// level's first, the rank in the low six bits, and the orientation above.
+static TWO_TURNS: [[u16; 64]; 24] = two_turns();
+
+const fn two_turns() -> [[u16; 64]; 24] {
+    let mut table = [[0; 64]; 24];
+    let mut state = 0;
+    while state < 24 {
+        let mut octants = 0;
+        while octants < 64 {
+            let upper = TURNS[state][octants >> 3] as u16;
+            let lower = TURNS[(upper >> 3) as usize][octants & 7] as u16;
+            table[state][octants] = (upper & 7) << 3 | lower & 7 | lower >> 3 << 6;
+            octants += 1;
+        }
+        state += 1;
+    }
+    table
+}
+
 /// Index of a cell at [`MAX_LEVEL`] along a three-dimensional Hilbert curve. The first `3·l` bits
 /// are the index of the cell at level `l` that contains it, so the curve orders an octree as a
 /// Morton code does, but without jumps.
@@ -62,13 +82,15 @@ const fn turns() -> [[u8; 8]; 24] {
 pub fn hilbert(cell: [u32; 3]) -> u64 {
     let interleaved = morton(cell);
     let (mut state, mut place) = (0_usize, 0_u64);
-    for level in (0..MAX_LEVEL).rev() {
-        let turn = TURNS[state][(interleaved >> (3 * level)) as usize & 7];
-        place = place << 3 | u64::from(turn & 7);
-        state = usize::from(turn >> 3);
+    for pair in (0..MAX_LEVEL / 2).rev() {
+        let turn = TWO_TURNS[state][(interleaved >> (6 * pair)) as usize & 63];
+        place = place << 6 | u64::from(turn & 63);
+        state = usize::from(turn >> 6);
     }
     place
 }
+
+const _: () = assert!(MAX_LEVEL.is_multiple_of(2), "levels are looked up in pairs");
 
 /// Column and row of cell number `index` along a Hilbert curve over a square of `side` cells (a
 /// power of two).
@@ -124,6 +146,22 @@ mod tests {
         assert_eq!(morton([0, 1, 0]), 2);
         assert_eq!(morton([0, 0, 1]), 4);
         assert_eq!(morton([(1 << MAX_LEVEL) - 1; 3]), (1 << (3 * MAX_LEVEL)) - 1);
+    }
+
+    #[test]
+    fn an_index_is_that_of_one_level_after_another() {
+        let mut cell = [7_u32, 1 << 19, 12_345];
+        for _ in 0..1000 {
+            cell = cell
+                .map(|v| v.wrapping_mul(747_796_405).wrapping_add(2_891_336_453) & ((1 << MAX_LEVEL) - 1));
+            let (mut state, mut place) = (0, 0);
+            for level in (0..MAX_LEVEL).rev() {
+                let octant = (0..3).fold(0, |octant, axis| octant | (cell[axis] >> level & 1) << axis);
+                let turn = TURNS[state][octant as usize];
+                (place, state) = (place << 3 | u64::from(turn & 7), usize::from(turn >> 3));
+            }
+            assert_eq!(hilbert(cell), place, "{cell:?}");
+        }
     }
 
     #[test]

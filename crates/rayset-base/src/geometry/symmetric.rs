@@ -4,6 +4,8 @@ use super::{DMat3, DVec3};
 
 /// Rounds of rotations; with each the rest becomes the square of what it was.
 const ROUNDS: usize = 12;
+/// A rest that is this part of the diagonal turns nothing any more that numbers tell apart.
+const NOTHING: f64 = 1e-20;
 
 /// The eigenvalues of a symmetric matrix, largest first, and its eigenvectors in their order, as
 /// columns of a rotation. By Jacobi's rotations (Golub and Van Loan, *Matrix Computations*, 8.5),
@@ -15,7 +17,8 @@ pub fn eigenvectors(matrix: &DMat3) -> (DVec3, DMat3) {
     let (mut m, mut v) = (matrix.to_cols_array_2d(), DMat3::IDENTITY.to_cols_array_2d());
     for _ in 0..ROUNDS {
         let rest = m[0][1].abs() + m[0][2].abs() + m[1][2].abs();
-        if !(rest > 0.0 && rest.is_finite()) {
+        let diagonal = m[0][0].abs() + m[1][1].abs() + m[2][2].abs();
+        if !(rest > NOTHING * diagonal && rest.is_finite()) {
             break;
         }
         for (p, q) in [(0, 1), (0, 2), (1, 2)] {
