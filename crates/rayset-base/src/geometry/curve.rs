@@ -57,7 +57,7 @@ const fn turns() -> [[u8; 8]; 24] {
 
 /// The same of two levels at once: for each orientation and each octant of an octant, the upper
 /// level's first, the rank in the low six bits, and the orientation above.
-static TWO_TURNS: [[u16; 64]; 24] = two_turns();
+const TWO_TURNS: [[u16; 64]; 24] = two_turns();
 
 const fn two_turns() -> [[u16; 64]; 24] {
     let mut table = [[0; 64]; 24];

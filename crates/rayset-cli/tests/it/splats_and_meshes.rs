@@ -30,6 +30,32 @@ fn a_build_of_splats_keeps_their_opacity_and_deviations_and_the_colours_of_all_d
 }
 
 #[test]
+fn copies_of_splats_stay_and_copies_of_other_points_become_one() {
+    let folder = folder();
+    let records = Path::new(env!("CARGO_MANIFEST_DIR")).join("../rayset/tests/fixtures/splats/records.splat");
+    let records = std::fs::read(records).expect("a fixture");
+    let splats = records.len() / 32;
+    std::fs::write(folder.path().join("twice.splat"), [&records[..], &records[..]].concat())
+        .expect("a write");
+    let row = |i: usize| format!("{},{},0,0.5\n", i % 5, i % 7);
+    std::fs::write(
+        folder.path().join("twice.csv"),
+        format!("x,y,z,radius\n{}", (0..70).map(row).collect::<String>()),
+    )
+    .expect("a write");
+    let points = |input: &str, more: &[&str]| {
+        let input = folder.path().join(input);
+        build(folder.path(), input.to_str().expect("a name"), more).0
+    };
+    for more in [&[][..], &["--radius", "auto"]] {
+        let said = points("twice.splat", more);
+        assert!(said.contains(&format!("c.rset: {} points", 2 * splats)), "{said}");
+    }
+    let said = points("twice.csv", &[]);
+    assert!(said.contains("c.rset: 35 points"), "{said}");
+}
+
+#[test]
 fn a_build_samples_as_many_points_on_a_mesh_as_are_asked_for() {
     let folder = folder();
     for name in ["ball.ply", "ball.obj", "ball.stl"] {

@@ -51,6 +51,10 @@ pub struct Schema {
     /// The step of the file's coordinates along each axis: they are multiples of it, apart from a
     /// constant. `None` if the file does not say.
     pub step: Option<[f64; 3]>,
+    /// Whether points that are equal in every column are the same as one with the sum of their
+    /// weights. It is not so where weights are opacities: two splats leave the square of the light
+    /// that one leaves.
+    pub weights_add: bool,
 }
 
 impl Schema {
@@ -67,6 +71,7 @@ impl Schema {
             reading: String::new(),
             up: None,
             step: None,
+            weights_add: true,
         }
     }
 

@@ -17,16 +17,8 @@ use super::region::Region;
 use super::survey::{LIMIT, Merged, NO_RANGE};
 use rayset_store::spill::{Spill, SpillWriter};
 
-/// Copies are many if they are at least one of so many records. A weight is stored with each point
-/// then, which a few copies are not worth.
-const OF_RECORDS: u64 = 8;
 /// Records that are read at a time.
 const CHUNK_RECORDS: u64 = 8192;
-
-/// Whether so many of the records are copies of others that they are merged.
-pub(super) fn are_many(copies: u64, records: u64) -> bool {
-    copies > 0 && copies.saturating_mul(OF_RECORDS) >= records
-}
 
 /// Merges copies among records that come in the order of the curve.
 pub(super) struct Merger {
@@ -106,7 +98,7 @@ pub(super) fn find(context: &Context<'_>, ingested: Ingested) -> Result<Ingested
     let InOrder { writer, copies, .. } = writer;
     let spill = writer.finish().map_err(context.io("write temporary files in"))?;
     let sorted = Ingested { spill, survey };
-    if are_many(copies, sorted.survey.count) { merge(context, sorted) } else { Ok(sorted) }
+    if sorted.survey.merges(copies) { merge(context, sorted) } else { Ok(sorted) }
 }
 
 /// Writes sorted records, and counts those that are equal to the one before.

@@ -9,8 +9,16 @@ const REGISTER_BITS: u32 = 14;
 const REGISTERS: usize = 1 << REGISTER_BITS;
 /// Correction of the mean of so many registers.
 const ALPHA: f64 = 0.7213 / (1.0 + 1.079 / REGISTERS as f64);
-/// Copies may be many, which is one of eight records, if at least one of so many seems to be one.
+/// Copies are many if they are at least one of so many records. A weight is stored with each point
+/// then, which a few copies are not worth.
+const OF_RECORDS: u64 = 8;
+/// Copies may be many if at least one of so many seems to be one.
 const SEEM_MANY: f64 = 12.0;
+
+/// Whether so many of the records are copies of others that they are merged.
+pub(super) fn are_many(copies: u64, records: u64) -> bool {
+    copies > 0 && copies.saturating_mul(OF_RECORDS) >= records
+}
 
 /// What is known of the different records that have been included.
 #[derive(Clone, Debug, Default, PartialEq)]

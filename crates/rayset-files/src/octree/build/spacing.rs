@@ -67,7 +67,7 @@ pub(super) fn assign_radii(context: &Context<'_>, ingested: Ingested) -> Result<
     measured.check_range(context.options.length_scale, &survey)?;
     let settled = settle(context, &curve, &survey, &measured)?;
     let measured = Ingested { spill, survey: survey.with_measures(settled) };
-    if copies::are_many(copies, measured.survey.count) {
+    if measured.survey.merges(copies) {
         return copies::merge(context, measured);
     }
     Ok(measured)

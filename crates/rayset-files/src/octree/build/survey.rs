@@ -6,7 +6,7 @@
 
 use super::columns::{Columns, radius_rule, weight_rule};
 use super::depths::Depths;
-use super::distinct::Distinct;
+use super::distinct::{self, Distinct};
 use super::error::{BuildError, Quantity, Skipped};
 use super::options::{BuildOptions, InvalidPolicy, Rule};
 use super::record::{self, KeyMaker, RecordLayout};
@@ -35,6 +35,8 @@ pub(super) struct Form {
     /// What shapes are still to be measured of, with the radii.
     pub(super) shapes_of: ShapesOf,
     pub(super) weight: f32,
+    /// Whether copies may become one point, whose weight is the sum of theirs.
+    pub(super) weights_add: bool,
     /// Everything besides the records on which pages depend.
     pub(super) pages_depend_on: String,
     pub(super) metadata: Metadata,
@@ -55,6 +57,7 @@ impl Form {
             auto_scale: options.radius_scale,
             shapes_of: columns.shapes_of,
             weight: if let Rule::Number(w) = weight { (w * options.weight_scale) as f32 } else { 1.0 },
+            weights_add: sources.iter().all(|source| source.schema().weights_add),
             pages_depend_on: pages_depend_on(options, &radius, &weight, &columns),
             metadata: describe(sources, options.length_scale),
         };
@@ -273,6 +276,7 @@ pub(super) struct Survey {
     pub(super) count: u64,
     /// Whether many records may be copies of others.
     pub(super) may_have_copies: bool,
+    weights_add: bool,
     pub(super) skipped: Skipped,
     pub(super) bounds: Aabb,
     pub(super) root: RootCell,
@@ -302,7 +306,8 @@ impl Survey {
             identity: totals.sum.identity(&form.pages_depend_on),
             metadata: form.metadata.clone(),
             count: totals.count,
-            may_have_copies: totals.distinct.may_have_many_copies(totals.count),
+            may_have_copies: form.weights_add && totals.distinct.may_have_many_copies(totals.count),
+            weights_add: form.weights_add,
             skipped: totals.skipped,
             bounds: totals.bounds,
             root: root_cell(&totals.bounds, f64::from(radius_range.1)),
@@ -343,6 +348,11 @@ impl Survey {
         hash.update(&self.identity.0);
         let (identity, weight_range, count) = (hash.identity(), merged.weight_range, merged.points);
         Self { identity, layout: self.layout.with_weight(), weight_range, count, ..self }
+    }
+
+    /// Whether so many records are copies of others that they are merged.
+    pub(super) fn merges(&self, copies: u64) -> bool {
+        self.weights_add && distinct::are_many(copies, self.count)
     }
 
     /// Whether radii are still to be measured.

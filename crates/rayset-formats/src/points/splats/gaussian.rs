@@ -152,6 +152,7 @@ pub(super) fn schema(what: &str, depth: ColorDepth, degree: u8, up: DVec3) -> Sc
     };
     schema.description = format!("{what}; Gaussian splats, {axis}");
     schema.up = Some(up);
+    schema.weights_add = false;
     schema
 }
 

@@ -18,7 +18,7 @@ use rayset_store::container::{Reader, Writer};
 use rayset_store::output::{Destination, OutputFile, remove_partials};
 
 const MAGIC: &[u8; 8] = b"RSETPART";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Bytes before the head.
 const FRONT_BYTES: usize = 28;
 /// Largest `.part` that is read.

@@ -6,7 +6,7 @@ use std::io::{BufReader, BufWriter, Read, Write};
 
 use super::super::context::Context;
 use super::super::control::Stage;
-use super::super::copies::{self, Merger};
+use super::super::copies::Merger;
 use super::super::curve::{Boxes, Crowd, Curve, GRAIN, Sketch, most_boxes};
 use super::super::error::BuildError;
 use super::super::neighbourhood::OfPlace;
@@ -281,7 +281,7 @@ fn merges(job: &Job<'_>) -> Result<bool, BuildError> {
         copies = copies.saturating_add(Stretch::of(&part)?.copies);
         Ok(())
     })?;
-    Ok(copies::are_many(copies, job.overview.survey.count))
+    Ok(job.overview.survey.merges(copies))
 }
 
 /// The layout of records with radii, and without copies.

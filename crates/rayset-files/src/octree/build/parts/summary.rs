@@ -48,6 +48,7 @@ struct StoredForm {
     /// The number of what shapes are measured of.
     shapes_of: usize,
     weight: u32,
+    weights_add: bool,
     pages_depend_on: String,
     crs: String,
     sources: Vec<String>,
@@ -190,6 +191,7 @@ impl StoredForm {
             auto_scale: form.auto_scale.to_bits(),
             shapes_of: form.shapes_of as usize,
             weight: form.weight.to_bits(),
+            weights_add: form.weights_add,
             pages_depend_on: form.pages_depend_on.clone(),
             crs: form.metadata.crs.clone(),
             sources: form.metadata.sources.clone(),
@@ -221,6 +223,7 @@ impl StoredForm {
             auto_scale: f64::from_bits(self.auto_scale),
             shapes_of: *ShapesOf::ALL.get(self.shapes_of)?,
             weight: f32::from_bits(self.weight),
+            weights_add: self.weights_add,
             pages_depend_on: self.pages_depend_on.clone(),
             metadata: Metadata { up, step, ..Metadata::new(&self.crs, self.sources.clone()) },
         })
