@@ -38,6 +38,13 @@ def test_a_picture_is_an_array_and_shows_itself(cloud: rs.Cloud) -> None:
     assert set(np.unique(image.instance)) <= {0, 1}
 
 
+def test_pictures_of_linear_light_say_if_they_were_composited_in_display_values(cloud: rs.Cloud, tmp_path: Path) -> None:
+    for compositing, said in [("display", True), ("linear", False)]:
+        path = tmp_path / f"{compositing}.exr"
+        rs.render(cloud, size=(16, 12), look="gas", compositing=compositing).save(path)
+        assert (b"composited in display values" in path.read_bytes()) == said
+
+
 @pytest.mark.parametrize("look", [[], ["--look", "gas"], ["--look", "surface", "--color-by", "T", "--colormap", "magma"]])
 def test_the_package_and_the_program_make_the_same_bytes(look: list[str], cloud: rs.Cloud, tmp_path: Path) -> None:
     cloud.save(tmp_path / "cloud.rset")

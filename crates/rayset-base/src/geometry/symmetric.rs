@@ -4,8 +4,9 @@ use super::{DMat3, DVec3};
 
 /// Rounds of rotations; with each the rest becomes the square of what it was.
 const ROUNDS: usize = 12;
-/// A rest that is this part of the diagonal turns nothing any more that numbers tell apart.
-const NOTHING: f64 = 1e-20;
+/// Elements beside the diagonal are left if they are at most this part of the diagonal. They would
+/// only turn axes whose eigenvalues differ by no more than that.
+const NEGLIGIBLE: f64 = 1e-20;
 
 /// The eigenvalues of a symmetric matrix, largest first, and its eigenvectors in their order, as
 /// columns of a rotation. By Jacobi's rotations (Golub and Van Loan, *Matrix Computations*, 8.5),
@@ -18,7 +19,7 @@ pub fn eigenvectors(matrix: &DMat3) -> (DVec3, DMat3) {
     for _ in 0..ROUNDS {
         let rest = m[0][1].abs() + m[0][2].abs() + m[1][2].abs();
         let diagonal = m[0][0].abs() + m[1][1].abs() + m[2][2].abs();
-        if !(rest > NOTHING * diagonal && rest.is_finite()) {
+        if !(rest > NEGLIGIBLE * diagonal && rest.is_finite()) {
             break;
         }
         for (p, q) in [(0, 1), (0, 2), (1, 2)] {
@@ -86,6 +87,10 @@ mod tests {
         assert_eq!(values, DVec3::new(3.0, 2.0, 1.0));
         assert_eq!((vectors.x_axis, vectors.y_axis), (DVec3::Y, DVec3::Z));
         assert_eq!(eigenvectors(&DMat3::ZERO), (DVec3::ZERO, DMat3::IDENTITY));
+        // Beside the largest value the others are nothing, and so is what stands between them.
+        let small = DMat3::from_cols_array_2d(&[[1.0, 0.0, 0.0], [0.0, 1e-20, 3e-21], [0.0, 3e-21, 1e-21]]);
+        let (values, vectors) = eigenvectors(&small);
+        assert!(values.x == 1.0 && values.y < 2e-20 && vectors.x_axis == DVec3::X);
         for v in [f64::NAN, f64::INFINITY] {
             assert!(eigenvectors(&DMat3::from_cols_array(&[v; 9])).1.is_finite());
         }

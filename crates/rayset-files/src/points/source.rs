@@ -52,8 +52,9 @@ pub struct Schema {
     /// constant. `None` if the file does not say.
     pub step: Option<[f64; 3]>,
     /// Whether points that are equal in every column are the same as one with the sum of their
-    /// weights. It is not so where weights are opacities: two splats leave the square of the light
-    /// that one leaves.
+    /// weights. They are not where weights are opacities: two splats of opacity α let (1 − α)² of
+    /// the light pass, and one of twice the opacity 1 − 2α. A build merges copies only if this is
+    /// true of all of its sources.
     pub weights_add: bool,
 }
 

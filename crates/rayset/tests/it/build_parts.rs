@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use rayset::octree::build::{self, BuildControl, BuildError, BuildOptions, BuildParts, BuildStep, Rule};
-use rayset::points::{ArraySource, PointSource, Workload};
+use rayset::points::{self, ArraySource, PointBatch, PointSource, ReadError, ReadOptions, Schema, Workload};
 
 use crate::common::{Random, folder, mixed_points};
 
@@ -167,6 +167,75 @@ fn a_cloud_of_parts_that_each_have_their_own_points_is_that_of_all() {
     let path = folder.path().join("merged.rset");
     parts.merge(&path, &options, &control).expect("a cloud");
     assert!(std::fs::read(path).expect("the file reads") == whole);
+}
+
+/// The splats of a fixture.
+fn splats() -> Box<dyn PointSource> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/splats/records.splat");
+    points::open(&path, &ReadOptions::default()).expect("a fixture")
+}
+
+/// The same as points whose weights add.
+struct NoSplats(Box<dyn PointSource>, Schema);
+
+impl PointSource for NoSplats {
+    fn schema(&self) -> &Schema {
+        &self.1
+    }
+    fn count_hint(&self) -> Option<u64> {
+        self.0.count_hint()
+    }
+    fn select(&mut self, columns: &[usize]) {
+        self.0.select(columns);
+    }
+    fn fill(&mut self, batch: &mut PointBatch, limit: usize) -> Result<(), ReadError> {
+        self.0.fill(batch, limit)
+    }
+}
+
+fn no_splats() -> Box<dyn PointSource> {
+    let schema = Schema { weights_add: true, ..splats().schema().clone() };
+    Box::new(NoSplats(splats(), schema))
+}
+
+fn copies_in(cloud: &[u8]) -> u64 {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    std::fs::write(&path, cloud).expect("a write");
+    rayset::Cloud::open(&path).expect("a cloud").header().copies
+}
+
+#[test]
+fn no_copies_are_merged_if_any_part_of_a_build_reads_splats() {
+    let folder = folder();
+    for options in [BuildOptions::default(), measured()] {
+        let twice = || vec![splats(), splats()];
+        let whole = local(folder.path(), &twice, &options);
+        assert_eq!(copies_in(&whole), 0);
+        assert!(in_parts(folder.path(), 3, &twice, &options).expect("a cloud") == whole);
+        assert!(copies_in(&local(folder.path(), &|| vec![no_splats(), no_splats()], &options)) > 0);
+        for swapped in [false, true] {
+            let both = || {
+                let mut both = vec![splats(), no_splats()];
+                both[..].rotate_left(usize::from(swapped));
+                both
+            };
+            let whole = local(folder.path(), &both, &options);
+            assert_eq!(copies_in(&whole), 0);
+            let (control, exchange) = (BuildControl::default(), folder.path().join("own"));
+            let parts = BuildParts::new(&exchange, 2).expect("a number of parts");
+            for (part, source) in (1..).zip(both()) {
+                parts.read_own(part, vec![source], &options, &control).expect("it reads");
+            }
+            for step in &BuildStep::ALL[1..] {
+                (1..=2).for_each(|part| parts.run(*step, part, &options, &control).expect("the step ends"));
+            }
+            let path = folder.path().join("merged.rset");
+            parts.merge(&path, &options, &control).expect("a cloud");
+            parts.remove().expect("a folder of its own");
+            assert!(std::fs::read(path).expect("the file reads") == whole);
+        }
+    }
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! The nearest neighbours of points in Hilbert order: how far away they are, and where.
 //!
 //! Consecutive points are close to each other, so boxes around short stretches of them serve as a
-//! search tree. Points are queried a stretch at a time: the stretches beside it bound the
-//! distances, and then only those count whose boxes are nearer than that. Results are exact, so
-//! they do not depend on how points were cut into stretches.
+//! search tree, and boxes around groups of these. Points are queried a stretch at a time: of the
+//! stretches beside it, those points come first that are next along the curve, because most of them
+//! are near. Then only stretches count whose boxes are nearer than what was found. Results are
+//! exact, so they do not depend on how points were cut into stretches.
 
 use std::ops::Range;
 
@@ -39,8 +40,9 @@ impl<const LEN: usize> Nearest<LEN> {
     /// Whether offsets are kept.
     const HAS_OFFSETS: bool = LEN > FOR_DISTANCE;
 
-    /// The nearest of some points at these squared distances, and `offsets` from it. Those of
-    /// `likely`, at most `LEN`, are taken first: if they are near, most others need no place.
+    /// The nearest of some points at these squared distances; `offset` gives the vector to one of
+    /// them. Those of `likely`, at most `LEN`, are taken first: if they are near, most others need
+    /// no place.
     fn of(squares: &[f64], likely: Range<usize>, offset: impl Fn(usize) -> [f32; 3]) -> Self {
         let mut nearest = Self::NONE;
         for (at, i) in likely.clone().enumerate() {
@@ -115,7 +117,7 @@ impl<const LEN: usize> Nearest<LEN> {
 pub(super) struct Stretches {
     axes: [Vec<f64>; 3],
     boxes: Vec<Aabb>,
-    /// Each of [`GROUP`] boxes.
+    /// A box around every [`GROUP`] boxes that follow each other.
     boxes_of_boxes: Vec<Aabb>,
 }
 
@@ -175,7 +177,8 @@ impl Stretches {
         nearest.include_all(squares, offset);
     }
 
-    /// The boxes of stretches that are near enough to `bounds` for a neighbour within `reach`.
+    /// Numbers of the stretches that may have a neighbour of a point in `bounds`, at a squared
+    /// distance of at most `reach`.
     fn within<const LEN: usize>(&self, bounds: &Aabb, reach: f64) -> impl Iterator<Item = usize> + '_ {
         let bounds = *bounds;
         let is_near = move |other: &Aabb| Search::<LEN>::is_within(square_between(&bounds, other), reach);
@@ -353,13 +356,54 @@ mod tests {
         }
     }
 
+    /// Compares what is found among points, in any order, with a sort of all of them.
+    fn check_offsets<const LEN: usize>(points: &[[f64; 3]]) {
+        let (mut first, mut second) = (Stretches::default(), Stretches::default());
+        let (own, others) = points.split_at(points.len() - points.len() / 3);
+        own.iter().for_each(|&p| first.push(p));
+        others.iter().for_each(|&p| second.push(p));
+        let mut search = Search::<LEN>::among(&first, || true);
+        search.extend(&second);
+        let mut checked = 0;
+        for (p, (distance, offsets)) in own.iter().zip(search.found()) {
+            let mut all: Vec<(f64, [f32; 3])> = (points.iter())
+                .map(|q| [q[0] - p[0], q[1] - p[1], q[2] - p[2]])
+                .map(|v| (v.iter().map(|v| v * v).sum(), v.map(|v| v as f32)))
+                .collect();
+            all.sort_by(|a, b| a.partial_cmp(b).expect("numbers"));
+            let what = format!("{p:?} of {}, {LEN} neighbours", points.len());
+            let expected = all.get(NEIGHBOUR).map_or(f64::INFINITY, |found| found.0.sqrt());
+            assert!(distance == expected, "{what}");
+            let nearest = all.get(..LEN).map(|nearest| nearest.iter().map(|found| found.1).collect());
+            let nearest: Option<Vec<_>> = nearest.filter(|_| LEN > FOR_DISTANCE);
+            assert_eq!(offsets.map(<[_]>::to_vec), nearest, "{what}");
+            checked += 1;
+        }
+        assert_eq!(checked, own.len());
+    }
+
+    #[test]
+    fn neighbours_are_those_of_a_sort_however_many_there_are_and_are_asked_for() {
+        for count in [0, 1, 5, 9, 17, 31, 32, 33, 64, 65, 97, 130, 3000] {
+            // A lattice of two layers, on which many are equally near.
+            let lattice: Vec<[f64; 3]> =
+                (0..count).map(|i| [f64::from(i / 2 % 40), f64::from(i / 80), f64::from(i % 2)]).collect();
+            let scattered: Vec<[f64; 3]> = points().into_iter().take(count.min(1500) as usize).collect();
+            for points in [lattice, scattered] {
+                check_offsets::<FOR_DISTANCE>(&points);
+                check_offsets::<FOR_SHAPE>(&points);
+                check_offsets::<FOR_FLUID>(&points);
+            }
+        }
+    }
+
     #[test]
     fn where_neighbours_lie_does_not_depend_on_how_points_are_cut_or_ordered() {
         // A lattice, on which many are equally near.
         let mut points: Vec<[f64; 3]> =
             (0..1500).map(|i| [f64::from(i % 40), f64::from(i / 40), 0.0]).collect();
         let mut found = Vec::new();
-        let mut state = 1_usize;
+        let mut state = 1_u64;
         for cut in [32, 512, 1500, 900, 700] {
             let (mut first, mut second) = (Stretches::default(), Stretches::default());
             points[..cut].iter().for_each(|&p| first.push(p));
@@ -371,7 +415,7 @@ mod tests {
             found.extend(place.map(|(p, (_, offsets))| (p[0] as u32, offsets.unwrap().to_vec())));
             for end in (1..points.len()).rev() {
                 state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-                points.swap(end, (state >> 33) % (end + 1));
+                points.swap(end, (state >> 33) as usize % (end + 1));
             }
         }
         found.sort_by_key(|(x, _)| *x);

@@ -35,7 +35,8 @@ pub(super) struct Form {
     /// What shapes are still to be measured of, with the radii.
     pub(super) shapes_of: ShapesOf,
     pub(super) weight: f32,
-    /// Whether copies may become one point, whose weight is the sum of theirs.
+    /// Whether copies may become one point, whose weight is the sum of theirs: not if it is so of
+    /// any source that they may not.
     pub(super) weights_add: bool,
     /// Everything besides the records on which pages depend.
     pub(super) pages_depend_on: String,

@@ -93,13 +93,17 @@ fn gather(gathered: &mut Option<Gathered>, part: &Part) -> Result<(), BuildError
         return Ok(());
     };
     let metadata = merged(&all.form.metadata, &form.metadata);
-    let alike = Form { metadata: all.form.metadata.clone(), ..form } == all.form;
+    // Parts that read sources of their own know of no splats among the others'.
+    let weights_add = all.form.weights_add && form.weights_add;
+    let own = (all.form.metadata.clone(), all.form.weights_add);
+    let alike = Form { metadata: own.0, weights_add: own.1, ..form } == all.form;
     if !alike || summary.choices != all.choices || part.head.request != all.request {
         let what = "its inputs have other columns than those of part 1, or it was read with other options";
         return Err(part.wrong(format!("{what}; remove its folder and begin again")));
     }
     all.hash.update(&part.payload);
     all.form.metadata = metadata;
+    all.form.weights_add = weights_add;
     all.totals.merge(&summary.totals());
     all.memory_bytes = all.memory_bytes.min(summary.memory_bytes);
     all.threads = all.threads.max(summary.threads);
