@@ -5,6 +5,7 @@
 pub mod bytes;
 pub mod cancel;
 pub mod geometry;
+pub mod kernel;
 pub mod nearest_first;
 pub mod numbers;
 pub mod parse;

@@ -8,13 +8,13 @@ use super::columns::{
 };
 use super::gaussian_splat;
 use super::harmonics;
-use super::kernel::Kernel;
 use super::plates::Plates;
 use super::sight::Sight;
 use super::simd::{SimdLevel, dispatch};
 use super::splat_filter::SplatFilter;
 use crate::math::linear_from_srgb;
 use rayset_base::geometry::DVec3;
+use rayset_base::kernel::Kernel;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::{RUN_POINTS, RootCell};
 use rayset_files::octree::page::Run;

@@ -18,7 +18,7 @@ use super::batch::{BatchedRun, MOST_RUNS, RunBatch};
 use super::columns::CHUNK_POINTS;
 use super::counts::SplatCounts;
 use super::group::GroupLine;
-use super::kernel::{self, Kernel, LaneKernel};
+use super::lane_kernels::{self, LaneKernel};
 use super::lane_ray::LaneRay;
 use super::packet::{BLOCK_SAMPLES, BLOCKS, BlockRange, GROUP, LANES, Packet, SLAB_SAMPLES, Slab};
 use super::pairs::BlockLimits;
@@ -26,6 +26,7 @@ use super::samples::{Channels, FieldSamples, RayEnds, SplatJob};
 use super::simd::{SimdLevel, dispatch};
 use super::splat_wide::splat_wide;
 use super::sums::{ANY, COLOR, SampleBlock, Sums};
+use rayset_base::kernel::Kernel;
 
 /// Adds runs to samples with a given kernel and instruction set.
 #[derive(Clone, Copy, Debug)]
@@ -60,14 +61,14 @@ impl Splatter {
             let ends = ends.filter(|_| later.is_empty());
             let job = SplatJob { packet, slab, lanes, ends, limits, samples };
             counts += match self.kernel {
-                Kernel::Wyvill => self.with_kernel::<kernel::Wyvill>(now, job),
-                Kernel::Chen => self.with_kernel::<kernel::Chen>(now, job),
-                Kernel::Gaussian => self.with_kernel::<kernel::Gaussian>(now, job),
-                Kernel::CubicSpline => self.with_kernel::<kernel::CubicSpline>(now, job),
-                Kernel::WendlandC2 => self.with_kernel::<kernel::WendlandC2>(now, job),
-                Kernel::Epanechnikov => self.with_kernel::<kernel::Epanechnikov>(now, job),
-                Kernel::Triweight => self.with_kernel::<kernel::Triweight>(now, job),
-                Kernel::Splat => self.with_kernel::<kernel::Splat>(now, job),
+                Kernel::Wyvill => self.with_kernel::<lane_kernels::Wyvill>(now, job),
+                Kernel::Chen => self.with_kernel::<lane_kernels::Chen>(now, job),
+                Kernel::Gaussian => self.with_kernel::<lane_kernels::Gaussian>(now, job),
+                Kernel::CubicSpline => self.with_kernel::<lane_kernels::CubicSpline>(now, job),
+                Kernel::WendlandC2 => self.with_kernel::<lane_kernels::WendlandC2>(now, job),
+                Kernel::Epanechnikov => self.with_kernel::<lane_kernels::Epanechnikov>(now, job),
+                Kernel::Triweight => self.with_kernel::<lane_kernels::Triweight>(now, job),
+                Kernel::Splat => self.with_kernel::<lane_kernels::Splat>(now, job),
             };
             runs = later;
         }

@@ -4,11 +4,11 @@
 use super::columns::MAP_COLUMNS;
 use super::counts::SplatCounts;
 use super::gaussian_splat::Chord;
-use super::kernel::Kernel;
 use super::packet::LANES;
 use super::run::DecodedRun;
 use super::samples::SplatJob;
 use super::simd::{SimdLevel, dispatch};
+use rayset_base::kernel::Kernel;
 
 /// Adds such a run, point by point: each is tested against all rays together, and added to those
 /// that pass it, one by one.

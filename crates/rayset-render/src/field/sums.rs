@@ -7,7 +7,7 @@ use fearless_simd::prelude::*;
 
 use super::columns::PointColumns;
 use super::gaussian_splat::Chord;
-use super::kernel::LaneKernel;
+use super::lane_kernels::LaneKernel;
 use super::lane_ray::LaneRay;
 use super::packet::BLOCK_SAMPLES;
 use super::pairs::Pairs;

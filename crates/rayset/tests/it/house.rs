@@ -14,6 +14,7 @@ const CRATES: [(&str, &[&str], &[&str]); 6] = [
             "setters",
             "sync",
             "cancel",
+            "kernel",
             "geometry",
             "nearest_first",
             "regular_file",
