@@ -11,6 +11,7 @@ pub mod numbers;
 pub mod parse;
 pub mod regular_file;
 mod setters;
+pub mod srgb;
 pub mod sync;
 pub mod text_numbers;
 

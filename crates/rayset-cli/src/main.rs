@@ -14,6 +14,7 @@ mod histogram;
 mod info;
 mod input;
 mod input_args;
+mod lod;
 mod manual;
 mod merge;
 mod option_args;
@@ -55,6 +56,8 @@ enum Command {
     /// Say what is in a cloud or grid, or in any file of points or voxels, and how much memory it
     /// wants
     Info(info::InfoArgs),
+    /// Add to a cloud file what stands for its points from afar
+    Lod(lod::LodArgs),
     /// Check a cloud file
     Verify(verify::VerifyArgs),
     /// Check a scene file before it is rendered
@@ -103,6 +106,7 @@ impl Command {
         match self {
             Self::Build(args) => Some(args.memory),
             Self::Merge(args) => Some(args.memory),
+            Self::Lod(args) => Some(args.memory),
             _ => None,
         }
     }
@@ -114,6 +118,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Generate(args) => generate::run(&args),
         Command::Build(args) => build::run(&args),
         Command::Info(args) => info::run(&args),
+        Command::Lod(args) => lod::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Render(args) => render::run(&args),

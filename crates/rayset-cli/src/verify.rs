@@ -38,11 +38,15 @@ pub(crate) fn run(args: &VerifyArgs) -> Result<()> {
         Depth::Quick => "ok: header, footer and length".to_owned(),
         Depth::Pages => format!("ok: {} pages, {} points", found.pages, report::count(found.points)),
         _ => format!(
-            "ok: {} pages, {} points, bounds and totals of {} runs and {} nodes",
+            "ok: {} pages, {} points, bounds and totals of {} runs and {} nodes{}",
             found.pages,
             report::count(found.points),
             found.runs,
-            found.nodes
+            found.nodes,
+            match found.aggregates {
+                0 => String::new(),
+                aggregates => format!(", {} aggregates", report::count(aggregates.into())),
+            }
         ),
     });
     Ok(())

@@ -12,7 +12,7 @@ pub trait PagedHeader: Clone + Send + Sync + Sized {
     /// The kind of file.
     const FILE: FileKind;
     /// Its sections of pages, in the order of the file.
-    const SECTIONS: [SectionKind; 2];
+    const SECTIONS: &[SectionKind];
 
     /// Reads it.
     ///
@@ -117,12 +117,25 @@ impl<H: PagedHeader> PagedFile<H> {
     /// # Errors
     /// [`ScanError`] at the first page that cannot be read or is damaged.
     pub fn for_each_page(&self, mut visit: impl FnMut(u32, &[u8])) -> Result<(), ScanError> {
+        self.try_for_each_page(|page, bytes| {
+            visit(page, bytes);
+            Ok::<(), ScanError>(())
+        })
+    }
+
+    /// The same, until `visit` fails.
+    ///
+    /// # Errors
+    /// Those of [`for_each_page`](Self::for_each_page), and of `visit`.
+    pub fn try_for_each_page<E: From<ScanError> + From<OpenError>>(
+        &self,
+        mut visit: impl FnMut(u32, &[u8]) -> Result<(), E>,
+    ) -> Result<(), E> {
         let mut file = self.reopened()?;
         file.check_sections()?;
         file.for_each_page(H::SECTIONS, |page, offset, bytes| {
             self.check(page, offset, bytes)?;
-            visit(page, bytes);
-            Ok(())
+            visit(page, bytes)
         })
     }
 }

@@ -120,6 +120,7 @@ pub fn stage_name(stage: Stage) -> &'static str {
         Stage::Read => "reading",
         Stage::Spacing => "spacing",
         Stage::Write => "writing",
+        Stage::Aggregate => "aggregating",
         _ => "building",
     }
 }

@@ -4,6 +4,8 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{f32x8, i32x8};
 
+pub use rayset_base::srgb::linear_from_srgb;
+
 /// ln x for positive x; exactly 0 at 1. From 2⁻¹² to 1 its error, as a relative error of 1 − x, is
 /// below 1e-6.
 #[inline(always)]
@@ -99,12 +101,6 @@ fn raised(x: f32, n: f32) -> f32 {
     let exponent = ln(x.max(f32::MIN_POSITIVE)) * n;
     let of_its_size = exp_minus(exponent.abs());
     if exponent > 0.0 { 1.0 / of_its_size } else { of_its_size }
-}
-
-/// Decodes a display-encoded (sRGB) value from 0 to 1 to linear light (IEC 61966-2-1).
-#[must_use]
-pub fn linear_from_srgb(v: f64) -> f64 {
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
 /// The value that a display is given for linear light x ≥ 0 (IEC 61966-2-1), relative error below

@@ -5,6 +5,9 @@
 //! number of threads or the order of the inputs.
 
 pub use rayset_files::grid::build::{GridBuildError, GridBuildOptions, build as grid_to_file};
+pub use rayset_files::octree::aggregates::{
+    AggregateError, AggregateHeader, AggregateOptions, add_to_file as add_aggregates,
+};
 pub use rayset_files::octree::build::{
     BuildControl, BuildError, BuildOptions, BuildReport, CloudBuilder, InvalidPolicy, Precision, Progress,
     Quantity, Rule, ShapeRule, Skipped, Stage,

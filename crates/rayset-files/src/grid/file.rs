@@ -24,7 +24,7 @@ paged_file!(Grid, "grid", GridHeader, |file| Self { file });
 #[doc(hidden)]
 impl PagedHeader for GridHeader {
     const FILE: FileKind = FileKind::Grid;
-    const SECTIONS: [SectionKind; 2] = [SectionKind::VOXELS, SectionKind::RANGES];
+    const SECTIONS: &[SectionKind] = &[SectionKind::VOXELS, SectionKind::RANGES];
 
     fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         Self::read(file)

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use super::aggregates::AggregatePage;
 use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};
@@ -26,7 +27,7 @@ paged_file!(Cloud, "cloud", Header, |file| Self { file, stored: None });
 #[doc(hidden)]
 impl PagedHeader for Header {
     const FILE: FileKind = FileKind::Cloud;
-    const SECTIONS: [SectionKind; 2] = [SectionKind::POINTS, SectionKind::NODES];
+    const SECTIONS: &[SectionKind] = &[SectionKind::POINTS, SectionKind::NODES, SectionKind::AGGREGATES];
 
     fn read(file: &mut OpenFile) -> Result<Self, OpenError> {
         Self::read(file)
@@ -49,12 +50,22 @@ impl PagedHeader for Header {
     }
 
     fn kind_of_page(&self, page: u32) -> Kind {
-        if page < self.point_pages { Kind::Points } else { Kind::Octree }
+        if page < self.point_pages {
+            Kind::Points
+        } else if page < self.point_pages + self.node_pages {
+            Kind::Octree
+        } else {
+            Kind::Aggregates
+        }
     }
 
     fn check_page(&self, page: u32, bytes: &[u8]) -> Result<(), PageError> {
         match self.kind_of_page(page) {
             Kind::Points => PointPage::check(bytes, page, self).map(|_| ()),
+            Kind::Aggregates => match &self.aggregates {
+                Some(aggregates) => AggregatePage::check(bytes, page, self, aggregates).map(|_| ()),
+                None => Err(PageError::Content { what: "a page beyond the last" }),
+            },
             _ => NodePage::check(bytes, page, self).map(|_| ()),
         }
     }
@@ -86,6 +97,11 @@ impl Cloud {
         let header = Header { radius, radius_mean, radius_scale: factor, shape, ..known.clone() };
         let file = PagedFile { header, ..stored.file.clone() };
         Some(Self { file, stored: Some(stored.clone()) })
+    }
+
+    /// The same cloud once more.
+    pub(super) fn again(&self) -> Self {
+        Self { file: self.file.clone(), stored: self.stored.clone() }
     }
 
     /// The cloud as it is stored.

@@ -4,6 +4,7 @@
 //! `docs/format.md` describes the same tables in prose. The surrounding container format is in
 //! [`rayset_store::container`].
 
+use super::aggregates::AggregateHeader;
 use super::harmonics::{self, MOST_DEGREE};
 use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell, nodes_per_page};
 use crate::points::ColumnType;
@@ -161,6 +162,9 @@ pub struct Header {
     /// Points of the sources that were equal to others in everything, and became one with them, of
     /// the sum of their weights.
     pub copies: u64,
+    /// The aggregates, if the file has any.
+    #[doc(hidden)]
+    pub aggregates: Option<AggregateHeader>,
     /// The layout of the columns of a run, derived from the columns.
     #[doc(hidden)]
     pub columns: ColumnLayout,
@@ -243,7 +247,7 @@ impl Header {
     /// Number of all pages.
     #[must_use]
     pub fn pages(&self) -> u32 {
-        self.point_pages + self.node_pages
+        self.point_pages + self.node_pages + self.aggregates.as_ref().map_or(0, |a| a.pages)
     }
 
     /// The least and the largest detail of the points: of balls the radius, of ellipsoids twice the
@@ -352,7 +356,20 @@ impl Header {
         header.copies = words.copies;
         (header.crs, header.sources) = (words.crs, words.sources);
         header.check_ranges(file.header()).map_err(wrong)?;
+        header.aggregates = header.read_aggregates(file)?;
         Ok(header)
+    }
+
+    /// Reads and checks what the file says of its aggregates, if it has any.
+    fn read_aggregates(&self, file: &mut OpenFile) -> Result<Option<AggregateHeader>, OpenError> {
+        let Some(pages) = file.header().section(SectionKind::AGGREGATES).copied() else { return Ok(None) };
+        let bytes = file.section(SectionKind::AGGREGATE_HEADER)?;
+        let wrong = |what| file.wrong_section(SectionKind::AGGREGATE_HEADER, what);
+        let first_page = self.point_pages + self.node_pages;
+        if first_page.checked_add(pages.pages).is_none() || pages.offset != self.page_offset(first_page) {
+            return Err(wrong("the pages of aggregates do not follow those of nodes"));
+        }
+        AggregateHeader::decode(&bytes, pages.pages, self).map(Some).map_err(wrong)
     }
 
     fn decode_numbers(bytes: &[u8], file: &FileHeader) -> Option<Self> {
@@ -388,6 +405,7 @@ impl Header {
             up: None,
             step: None,
             copies: 0,
+            aggregates: None,
             columns: ColumnLayout::default(),
         })
     }

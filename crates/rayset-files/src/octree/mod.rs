@@ -5,6 +5,7 @@
 //! opens and checks a file; [`build`] makes one from points, in bounded memory. The layout is
 //! described byte by byte in `docs/format.md`.
 
+pub mod aggregates;
 pub mod build;
 pub mod file;
 pub mod format;
@@ -13,6 +14,7 @@ pub mod layout;
 mod near;
 pub mod node;
 pub mod page;
+mod pipeline;
 pub mod run_encoder;
 mod sample;
 pub mod shape;

@@ -1,6 +1,7 @@
 //! Verifying a whole file: every checksum and record, and every bound and total that rendering
 //! relies on.
 
+use super::aggregates::{self, AggregateError};
 use super::file::Cloud;
 use super::format::Header;
 use super::layout::NodeRef;
@@ -37,6 +38,8 @@ pub struct VerifyReport {
     pub points: u64,
     /// Number of nodes checked against their points.
     pub nodes: u64,
+    /// Number of aggregates checked against their points.
+    pub aggregates: u32,
 }
 
 /// What is wrong with a file.
@@ -62,6 +65,9 @@ pub enum VerifyError {
         /// What is wrong.
         what: &'static str,
     },
+    /// An aggregate is not what its points make, or they could not be made again to be compared.
+    #[error(transparent)]
+    Aggregates(#[from] AggregateError),
     /// The number of points does not hold.
     #[error("the header says {expected} points, the pages hold {found}")]
     Points {
@@ -74,7 +80,7 @@ pub enum VerifyError {
 
 impl Cloud {
     /// Verifies the file to the given depth. Holds one page at a time, and with [`Depth::Deep`]
-    /// also all nodes and a summary of each run.
+    /// also all nodes and a summary of each run, and what it takes to make the aggregates again.
     ///
     /// # Errors
     /// [`VerifyError`] for the first thing that is wrong.
@@ -99,12 +105,14 @@ fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> {
     let mut nodes: Vec<Vec<Node>> = Vec::new();
     cloud.stored_file().for_each_page(|page, bytes| {
         report.pages += 1;
-        if header.kind_of_page(page) == Kind::Octree {
-            if depth == Depth::Deep {
+        match header.kind_of_page(page) {
+            Kind::Points => {}
+            Kind::Octree if depth == Depth::Deep => {
                 let records = NodePage::trusted(bytes);
                 nodes.push((0..records.len()).filter_map(|i| records.get(i)).collect());
+                return;
             }
-            return;
+            _ => return,
         }
         let points = PointPage::trusted(bytes, header);
         first_run_of_page.push(runs.len());
@@ -129,6 +137,7 @@ fn verify(cloud: &Cloud, depth: Depth) -> Result<VerifyReport, VerifyError> {
             return Err(VerifyError::Points { expected: header.points, found: root.points });
         }
         check_header(header, &root, report.nodes).map_err(|what| VerifyError::Header { what })?;
+        report.aggregates = aggregates::compare(cloud)?;
     }
     Ok(report)
 }

@@ -1,6 +1,7 @@
 //! Converts linear light to display values: exposure and tone mapping.
 
 use crate::field::linear_from_srgb;
+pub use rayset_base::srgb::srgb_from_linear;
 
 /// How linear light is mapped to the range of a display.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -79,10 +80,4 @@ impl Rgba8 {
         };
         [byte(r), byte(g), byte(b), (opacity.clamp(0.0, 1.0) * 255.0).round() as u8]
     }
-}
-
-/// Encodes linear light from 0 to 1 for display (IEC 61966-2-1).
-#[must_use]
-pub fn srgb_from_linear(v: f64) -> f64 {
-    if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }

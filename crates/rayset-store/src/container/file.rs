@@ -224,7 +224,7 @@ impl OpenFile {
     /// The error of `check`, or [`OpenError`] if a page cannot be read or a digest differs.
     pub fn for_each_page<E: From<OpenError>>(
         &mut self,
-        kinds: [SectionKind; 2],
+        kinds: &[SectionKind],
         mut check: impl FnMut(u32, u64, &[u8]) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut page = vec![0; self.header.page_bytes as usize];

@@ -89,6 +89,10 @@ impl SectionKind {
     pub const POINTS: Self = Self(*b"PNTS");
     /// Pages of nodes.
     pub const NODES: Self = Self(*b"NODE");
+    /// Pages of aggregates.
+    pub const AGGREGATES: Self = Self(*b"AGGR");
+    /// What a file says of its aggregates.
+    pub const AGGREGATE_HEADER: Self = Self(*b"AGGH");
     /// Pages of bricks.
     pub const VOXELS: Self = Self(*b"VOXL");
     /// Pages of the value ranges of bricks.

@@ -15,6 +15,8 @@ pub enum PageKind {
     Octree,
     /// Runs of points.
     Points,
+    /// What stands for the points of cells.
+    Aggregates,
     /// A brick of a grid.
     Voxels,
     /// Value ranges of bricks.
@@ -28,6 +30,7 @@ impl PageKind {
         match self {
             Self::Octree => 0x4e4f_4445,
             Self::Points => 0x5054_5330,
+            Self::Aggregates => 0x4147_4752,
             Self::Voxels => 0x564f_5845,
             Self::Ranges => 0x5241_4e47,
         }

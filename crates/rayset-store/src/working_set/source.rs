@@ -13,6 +13,8 @@ pub enum Kind {
     Octree,
     /// Points.
     Points,
+    /// What stands for the points of cells.
+    Aggregates,
     /// Bricks of a grid.
     Voxels,
     /// Light that reaches places; computed, not read.
@@ -20,14 +22,15 @@ pub enum Kind {
 }
 
 /// Number of kinds.
-pub(super) const KINDS: usize = 4;
+pub(super) const KINDS: usize = 5;
 
 impl Kind {
     /// Every kind.
     pub const ALL: &[Self] = &Self::EACH;
 
     /// Every kind, as an array.
-    pub(super) const EACH: [Self; KINDS] = [Self::Octree, Self::Points, Self::Voxels, Self::Shadows];
+    pub(super) const EACH: [Self; KINDS] =
+        [Self::Octree, Self::Points, Self::Voxels, Self::Shadows, Self::Aggregates];
 
     pub(super) fn index(self) -> usize {
         match self {
@@ -35,13 +38,14 @@ impl Kind {
             Self::Points => 1,
             Self::Voxels => 2,
             Self::Shadows => 3,
+            Self::Aggregates => 4,
         }
     }
 
     /// The name used in statistics.
     #[must_use]
     pub fn name(self) -> &'static str {
-        ["octree", "points", "voxels", "shadows"][self.index()]
+        ["octree", "points", "voxels", "shadows", "aggregates"][self.index()]
     }
 }
 

@@ -15,6 +15,7 @@ const CRATES: [(&str, &[&str], &[&str]); 6] = [
             "sync",
             "cancel",
             "kernel",
+            "srgb",
             "geometry",
             "nearest_first",
             "regular_file",

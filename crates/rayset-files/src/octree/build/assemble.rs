@@ -384,6 +384,7 @@ impl Assembler {
             up: survey.metadata.up(),
             step: survey.metadata.step(),
             copies: survey.metadata.copies,
+            aggregates: None,
             columns: self.columns,
         };
         if survey.count == 0 {

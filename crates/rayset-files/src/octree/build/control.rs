@@ -13,6 +13,8 @@ pub enum Stage {
     Spacing,
     /// Ordering points and writing pages.
     Write,
+    /// Making what stands for points from afar.
+    Aggregate,
 }
 
 /// Receives progress reports of a build. Called from one thread at a time.

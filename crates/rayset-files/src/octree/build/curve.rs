@@ -12,10 +12,10 @@ use super::control::Stage;
 use super::error::BuildError;
 use super::neighbourhood::{OfPlace, Suggested};
 use super::neighbours::{FOR_DISTANCE, FOR_FLUID, FOR_SHAPE, STRETCH, Search, Stretches, square_between};
-use super::pipeline;
 use super::record::{self, KeyMaker};
 use super::shapes_of::ShapesOf;
 use super::typical::Measured;
+use crate::octree::pipeline;
 use rayset_base::geometry::{Aabb, DVec3};
 use rayset_store::spill::Spill;
 

@@ -30,7 +30,6 @@ mod partition;
 #[cfg(feature = "parts")]
 mod parts;
 mod pieces;
-mod pipeline;
 mod plan;
 mod record;
 mod region;

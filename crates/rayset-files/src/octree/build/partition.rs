@@ -12,11 +12,11 @@ use super::context::Context;
 use super::control::Stage;
 use super::error::BuildError;
 use super::pieces::{Assemble, Pack, structure};
-use super::pipeline;
 use super::plan::{Cell, Event, LEAF_POINTS, Plan, Pyramid};
 use super::record::KeyMaker;
 use super::region::Region;
 use super::sorted::{KeyOfRecord, Records, Sorted};
+use crate::octree::pipeline;
 use rayset_base::geometry::curve::MAX_LEVEL;
 use rayset_store::spill::Spill;
 

@@ -117,6 +117,7 @@ fn header_with_shapes() -> Header {
         up: None,
         step: None,
         copies: 0,
+        aggregates: None,
         columns: ColumnLayout::default(),
     };
     header.columns = header.column_layout(1);

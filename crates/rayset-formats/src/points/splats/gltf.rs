@@ -11,6 +11,7 @@ use super::turned::Turn;
 use crate::points::file_source::{FileSource, RecordReader, Request, unreadable};
 use crate::points::{ColorDepth, Place, PointBatch, ReadError};
 use rayset_base::geometry::{DMat3, DQuat, DVec3};
+use rayset_base::srgb::srgb_from_linear;
 use rayset_files::points::harmonics::{CHANNELS, CONSTANT};
 use rayset_store::storage::input_file::InputFile;
 
@@ -102,7 +103,7 @@ impl GltfReader {
         let own = DQuat::from_slice(&self.values[1][4 * i..4 * i + 4]);
         let constant = three(4);
         let light = constant.map(|coefficient| 0.5 + CONSTANT * coefficient);
-        let color = if primitive.is_linear { light.map(display_from_linear) } else { light };
+        let color = if primitive.is_linear { light.map(srgb_from_linear) } else { light };
         let mut harmonics = Harmonics::of_color(color);
         // Of a primitive with fewer, the others are 0.
         let kept = harmonics::rest(self.degree) / CHANNELS;
@@ -140,11 +141,6 @@ fn placed(path: &Path, primitive: &Primitive) -> Result<Placed, ReadError> {
     let is_turned = !rotation.abs_diff_eq(DMat3::IDENTITY, 1e-9);
     let turn = is_turned.then(|| Turn::new(&rotation, primitive.degree));
     Ok(Placed { scale, rotation: DQuat::from_mat3(&rotation), turn })
-}
-
-/// The value of sRGB (IEC 61966-2-1) of linear light.
-fn display_from_linear(light: f64) -> f64 {
-    if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
 }
 
 impl RecordReader for GltfReader {

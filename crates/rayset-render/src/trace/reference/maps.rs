@@ -1,5 +1,6 @@
 //! Evaluation of colour maps and curves, stop by stop.
 
+use crate::field::linear_from_srgb;
 use crate::scene::ColorMap;
 
 /// The colour of a value, linear light.
@@ -8,7 +9,7 @@ pub(super) fn color(map: &ColorMap, value: f64) -> [f64; 3] {
     let place = (value - low) / (high - low);
     let place = if place > 0.0 { place.min(1.0) } else { 0.0 };
     let encoded = line(&map.palette.stops(), place, |color| *color);
-    encoded.map(|v| if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) })
+    encoded.map(linear_from_srgb)
 }
 
 /// Linear interpolation at `x` between stops in ascending order of places: between the last stop at

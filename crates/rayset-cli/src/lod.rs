@@ -1,0 +1,122 @@
+//! `rayset lod`
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use rayset::build::{self, AggregateError, AggregateOptions, Progress, Stage};
+use rayset::scene::Kernel;
+use rayset::{CancelToken, Cloud};
+
+use crate::budget::Budget;
+use rayset_inputs::{Built, values};
+use rayset_terminal::memory::peak_rss;
+use rayset_terminal::outputs::Outputs;
+use rayset_terminal::progress::Meter;
+use rayset_terminal::report;
+
+/// Add to a cloud file what stands for its points from afar.
+///
+/// The result is the same, byte for byte, for any --memory and --threads. What the file has of this
+/// is made anew.
+#[derive(Args)]
+pub(crate) struct LodArgs {
+    /// Cloud file
+    cloud: PathBuf,
+    /// Cloud file to write; the same by default
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    /// Kernel of the densities
+    #[arg(long, default_value = "wyvill")]
+    kernel: Kernel,
+    /// Divide weights by what their kernels integrate to
+    #[arg(long)]
+    normalised: bool,
+    /// Memory for the whole process
+    #[arg(long, value_parser = values::size, default_value = "256MiB")]
+    pub(crate) memory: u64,
+    /// Threads; as many as there are processors by default
+    #[arg(long)]
+    threads: Option<usize>,
+    /// Folder for temporary files; that of the output by default
+    #[arg(long)]
+    temp_dir: Option<PathBuf>,
+    /// Report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was made, in numbers.
+#[derive(serde::Serialize)]
+struct Summary {
+    points: u64,
+    aggregates: u32,
+    aggregate_bytes: u64,
+    file_bytes: u64,
+    seconds: f64,
+    peak_rss_bytes: Option<u64>,
+}
+
+pub(crate) fn run(args: &LodArgs) -> Result<()> {
+    let output = args.output.as_deref().unwrap_or(&args.cloud);
+    let Built::Cloud(_) = rayset_inputs::open_built(&args.cloud)? else {
+        bail!("{} is a grid; only clouds have aggregates", args.cloud.display());
+    };
+    Outputs::beside::<PathBuf>([]).add(output, args.temp_dir.as_deref())?.require_file()?;
+    let budget = Budget::of(args.memory, [args.cloud.as_path(), output]);
+    let defaults = AggregateOptions::default();
+    let threads = args.threads.unwrap_or(defaults.threads);
+    let options = defaults
+        .with_kernel(args.kernel)
+        .with_normalised(args.normalised)
+        .with_memory_bytes(budget.left())
+        .with_threads(threads)
+        .with_temp_dir(args.temp_dir.clone());
+    let started = Instant::now();
+    let meter = Meter::new("points", args.json);
+    let progress = |done, total| meter.update(Stage::Aggregate, done, total);
+    let made = build::add_aggregates(&args.cloud, output, &options, &progress, &CancelToken::new());
+    meter.finish();
+    let made = made.map_err(|error| match error {
+        AggregateError::Memory { needed, .. } => {
+            let needed = budget.leaving(needed);
+            anyhow::anyhow!(
+                "--memory {} is too small; the smallest that would do is {needed} bytes ({})",
+                budget.in_words(),
+                report::bytes(needed)
+            )
+        }
+        other => other.into(),
+    })?;
+    let seconds = started.elapsed().as_secs_f64();
+    present(output, &made, seconds, args.json)
+}
+
+fn present(output: &Path, made: &build::AggregateHeader, seconds: f64, json: bool) -> Result<()> {
+    let header = Cloud::open(output)?.header().clone();
+    let bytes = u64::from(made.pages) * u64::from(header.page_bytes);
+    let summary = Summary {
+        points: header.points,
+        aggregates: made.records(),
+        aggregate_bytes: bytes,
+        file_bytes: header.file_bytes,
+        seconds,
+        peak_rss_bytes: peak_rss(),
+    };
+    if json {
+        return report::json(&summary);
+    }
+    report::say(format_args!(
+        "{}: {} aggregates of {} points, {} ({:.1} % of the file)",
+        output.display(),
+        report::count(summary.aggregates.into()),
+        report::count(header.points),
+        report::bytes(bytes),
+        100.0 * bytes as f64 / header.file_bytes as f64
+    ));
+    let peak =
+        summary.peak_rss_bytes.map_or_else(String::new, |b| format!(", peak memory {}", report::bytes(b)));
+    report::say(format_args!("{seconds:.2} s{peak}"));
+    Ok(())
+}
