@@ -19,7 +19,7 @@ const MOST_TOGETHER: usize = 16_384;
 /// Fewest places that are divided further if too many points reach them.
 const FEWEST_PLACES: usize = 64;
 /// Most entries of points in cells.
-const MOST_ENTRIES: u32 = 1 << 20;
+const MOST_ENTRIES: u32 = 1 << 18;
 /// Most cells of a grid along an axis.
 const MOST_CELLS: f64 = 24.0;
 
@@ -226,9 +226,22 @@ struct Near {
     /// Cells along each axis, and cells in a unit of length.
     cells: [usize; 3],
     per_unit: DVec3,
-    /// For each cell, where its points begin in `of_cells`; and where those of the last end.
+    /// For each cell, where its entries begin; and where those of the last end. Each cell has a
+    /// multiple of [`TOGETHER`].
     first: Vec<u32>,
-    of_cells: Vec<u32>,
+    entries: Entries,
+}
+
+/// For cells of the grid, the points that may reach them, in their order.
+#[derive(Default)]
+struct Entries {
+    /// Numbers of points; any for what fills up a cell.
+    of: Vec<u32>,
+    /// Relative to the corner of the box.
+    position: [Vec<f32>; 3],
+    /// The square of a radius, larger by more than what is rounded; negative for what fills up a
+    /// cell.
+    reach_squared: Vec<f32>,
 }
 
 /// A point, for its kernel.
@@ -237,6 +250,8 @@ struct NearPoint {
     /// Relative to the corner of the box.
     position: DVec3,
     radius: f64,
+    /// Half the edges of the smallest box around it.
+    half: DVec3,
     weight: f64,
     /// The map to the unit ball, for points that are no balls; else its only number is 1/r.
     map: DMat3,
@@ -246,13 +261,14 @@ struct NearPoint {
 impl NearPoint {
     fn new(points: &Points, index: usize, corner: DVec3) -> Self {
         let radius = points.radius[index];
-        let map = match points.shape.get(index) {
-            Some(shape) => shape.decode().unit_from_local() * radius.recip(),
-            None => DMat3::from_diagonal(DVec3::splat(radius.recip())),
+        let (map, half) = match points.shape.get(index) {
+            Some(shape) => (shape.unit_from_local() * radius.recip(), shape.half_extent() * radius),
+            None => (DMat3::from_diagonal(DVec3::splat(radius.recip())), DVec3::splat(radius)),
         };
         Self {
             position: points.position[index] - corner,
             radius,
+            half,
             weight: points.weight[index],
             map,
             is_ball: points.shape.is_empty(),
@@ -274,13 +290,14 @@ impl NearPoint {
 
 impl Near {
     fn new(bounds: &Aabb) -> Self {
+        let entries = Entries::default();
         Self {
             bounds: *bounds,
             points: Vec::new(),
             cells: [1; 3],
             per_unit: DVec3::ZERO,
             first: Vec::new(),
-            of_cells: Vec::new(),
+            entries,
         }
     }
 
@@ -307,17 +324,28 @@ impl Near {
             edge *= 2.0;
             self.divide(size, edge);
         }
-        let mut of_cells = vec![0; self.first[self.first.len() - 1] as usize];
-        // Each moves from the beginning of its cell to that of the next.
-        for at in 0..self.points.len() {
-            self.each_cell_of(at, |first, cell| {
-                of_cells[first[cell] as usize] = at as u32;
-                first[cell] += 1;
+        let count = self.first[self.first.len() - 1] as usize;
+        let mut entries = Entries {
+            of: vec![0; count],
+            position: std::array::from_fn(|_| vec![0.0; count]),
+            reach_squared: vec![-1.0; count],
+        };
+        // Coordinates are rounded to parts of the box, and to parts of their own.
+        let rounding = 4.0 * f64::from(f32::EPSILON) * (size.max_element() + 4.0 * mean);
+        let mut next = self.first.clone();
+        for (at, point) in self.points.iter().enumerate() {
+            let reach = point.radius * (1.0 + 1e-5) + rounding;
+            let reach_squared = (reach * reach) as f32;
+            let place = point.position.to_array().map(|v| v as f32);
+            self.each_cell_of(point, |cell| {
+                let to = next[cell] as usize;
+                next[cell] += 1;
+                entries.of[to] = at as u32;
+                (0..3).for_each(|axis| entries.position[axis][to] = place[axis]);
+                entries.reach_squared[to] = reach_squared;
             });
         }
-        self.first.rotate_right(1);
-        self.first[0] = 0;
-        self.of_cells = of_cells;
+        self.entries = entries;
         self
     }
 
@@ -328,30 +356,31 @@ impl Near {
             true => self.cells[axis] as f64 / size[axis],
             false => 0.0,
         }));
-        self.first.clear();
-        self.first.resize(self.cells.iter().product::<usize>() + 1, 0);
-        for at in 0..self.points.len() {
-            self.each_cell_of(at, |first, cell| first[cell + 1] += 1);
+        let mut first = vec![0_u32; self.cells.iter().product::<usize>() + 1];
+        for point in &self.points {
+            self.each_cell_of(point, |cell| first[cell + 1] += 1);
         }
-        for cell in 1..self.first.len() {
-            self.first[cell] += self.first[cell - 1];
+        for cell in 1..first.len() {
+            first[cell] = first[cell - 1] + first[cell].next_multiple_of(TOGETHER as u32);
         }
+        self.first = first;
     }
 
     /// Calls `visit` for each cell that a point may reach.
-    fn each_cell_of(&mut self, at: usize, mut visit: impl FnMut(&mut [u32], usize)) {
-        let NearPoint { position, radius, .. } = self.points[at];
-        let [low, high] = [position - radius, position + radius].map(|place| self.cell_of(place));
+    #[inline(always)]
+    fn each_cell_of(&self, point: &NearPoint, mut visit: impl FnMut(usize)) {
+        let NearPoint { position, half, .. } = *point;
+        let [low, high] = [position - half, position + half].map(|place| self.cell_of(place));
         for z in low[2]..=high[2] {
             for y in low[1]..=high[1] {
-                for x in low[0]..=high[0] {
-                    visit(&mut self.first, (z * self.cells[1] + y) * self.cells[0] + x);
-                }
+                let row = (z * self.cells[1] + y) * self.cells[0];
+                (row + low[0]..=row + high[0]).for_each(&mut visit);
             }
         }
     }
 
     /// The cell of a place relative to the corner of the box, or the nearest.
+    #[inline(always)]
     fn cell_of(&self, place: DVec3) -> [usize; 3] {
         let in_cells = place * self.per_unit;
         std::array::from_fn(|axis| (in_cells[axis].max(0.0) as usize).min(self.cells[axis] - 1))
@@ -363,13 +392,42 @@ impl Near {
             let place = *place - self.bounds.min;
             let [x, y, z] = self.cell_of(place);
             let cell = (z * self.cells[1] + y) * self.cells[0] + x;
-            let near = &self.of_cells[self.first[cell] as usize..self.first[cell + 1] as usize];
-            *density = near.iter().fold(0.0, |sum, &at| {
-                let point = &self.points[at as usize];
-                let square = point.square(place);
-                if square < 1.0 { sum + point.weight * kernel(square) } else { sum }
-            });
+            let entries = self.first[cell] as usize..self.first[cell + 1] as usize;
+            *density = 0.0;
+            for first in entries.step_by(TOGETHER) {
+                let mut near = self.entries.near(first, place.to_array().map(|v| v as f32));
+                while near != 0 {
+                    let at = first + near.trailing_zeros() as usize;
+                    near &= near - 1;
+                    let point = &self.points[self.entries.of[at] as usize];
+                    let square = point.square(place);
+                    if square < 1.0 {
+                        *density += point.weight * kernel(square);
+                    }
+                }
+            }
         }
+    }
+}
+
+/// Entries that are looked at together.
+const TOGETHER: usize = 8;
+
+impl Entries {
+    /// Which of the entries from one on may reach a place, a bit for each.
+    #[inline(always)]
+    fn near(&self, first: usize, place: [f32; 3]) -> u32 {
+        let of = |column: &[f32]| -> [f32; TOGETHER] {
+            std::array::from_fn(|at| column[first..first + TOGETHER][at])
+        };
+        let [x, y, z] = self.position.each_ref().map(|column| of(column));
+        let reach_squared = of(&self.reach_squared);
+        let mut near = 0;
+        for at in 0..TOGETHER {
+            let (x, y, z) = (x[at] - place[0], y[at] - place[1], z[at] - place[2]);
+            near |= u32::from(x * x + y * y + z * z < reach_squared[at]) << at;
+        }
+        near
     }
 }
 

@@ -1,7 +1,7 @@
 //! Places at which densities are measured: in each point four, which are distributed as its kernel.
 
 use super::points::Points;
-use rayset_base::geometry::{DQuat, DVec3};
+use rayset_base::geometry::{DQuat, DVec3, Shape};
 use rayset_base::kernel::Kernel;
 
 /// Places in a point.
@@ -46,7 +46,7 @@ impl UnitPlaces {
     pub(super) fn append(&self, points: &Points, index: usize, places: &mut Vec<DVec3>) {
         let (center, radius) = (points.position[index], points.radius[index]);
         let turn = rotation_of(center);
-        let axes = points.shape.get(index).map(|shape| shape.decode().semi_axes());
+        let axes = points.shape.get(index).map(Shape::semi_axes);
         places.extend(self.0.map(|place| {
             let turned = turn * place * radius;
             center + axes.map_or(turned, |axes| axes * turned)

@@ -3,7 +3,7 @@
 use crate::octree::format::Header;
 use crate::octree::page::Run;
 use crate::octree::shape::StoredShape;
-use rayset_base::geometry::{DMat3, DVec3};
+use rayset_base::geometry::{DMat3, DVec3, Shape};
 use rayset_base::srgb::linear_from_srgb;
 
 /// Points, in the order of the file.
@@ -15,8 +15,10 @@ pub(super) struct Points {
     pub(super) radius: Vec<f64>,
     /// As densities have them.
     pub(super) weight: Vec<f64>,
+    /// s₁ s₂ s₃.
+    pub(super) volume: Vec<f64>,
     /// Empty if all points are balls.
-    pub(super) shape: Vec<StoredShape>,
+    pub(super) shape: Vec<Shape>,
     /// Linear light; empty if points have none.
     pub(super) color: Vec<[f32; 3]>,
     /// A column for each attribute.
@@ -51,12 +53,15 @@ impl<'a> Decoder<'a> {
             Some(weights) => points.weight.extend(weights.map(f64::from)),
             None => points.weight.extend(std::iter::repeat_n(f64::from(header.weight.min()), n)),
         }
-        points.shape.extend(run.shapes(header).into_iter().flatten());
+        points.shape.extend(run.shapes(header).into_iter().flatten().map(StoredShape::decode));
+        for index in first..points.position.len() {
+            let radius = points.radius[index];
+            let ratio = points.shape.get(index).map_or(1.0, Shape::volume);
+            points.volume.push(radius * radius * radius * ratio);
+        }
         if let Some(factor) = self.normalisation {
-            for index in first..points.position.len() {
-                let volume = points.volume(index);
-                points.weight[index] *= factor / volume;
-            }
+            let weights = points.weight[first..].iter_mut().zip(&points.volume[first..]);
+            weights.for_each(|(weight, volume)| *weight *= factor / volume);
         }
     }
 
@@ -81,28 +86,20 @@ impl Points {
         self.position.clear();
         self.radius.clear();
         self.weight.clear();
+        self.volume.clear();
         self.shape.clear();
         self.color.clear();
         self.attributes.clear();
     }
 
-    /// s₁ s₂ s₃.
-    fn volume(&self, index: usize) -> f64 {
-        let ball = self.radius[index] * self.radius[index] * self.radius[index];
-        self.shape.get(index).map_or(ball, |shape| ball * shape.decode().volume())
-    }
-
     /// v s₁ s₂ s₃.
     pub(super) fn mass(&self, index: usize) -> f64 {
-        self.weight[index] * self.volume(index)
+        self.weight[index] * self.volume[index]
     }
 
     /// The radius of a ball of the point's volume.
     pub(super) fn radius_of_volume(&self, index: usize) -> f64 {
-        match self.shape.get(index) {
-            None => self.radius[index],
-            Some(_) => self.volume(index).cbrt(),
-        }
+        if self.shape.is_empty() { self.radius[index] } else { self.volume[index].cbrt() }
     }
 
     /// R diag(s²) Rᵀ: of a kernel of variance 1 over the unit ball, the covariance in space.
@@ -111,7 +108,7 @@ impl Points {
         match self.shape.get(index) {
             None => DMat3::from_diagonal(DVec3::splat(radius * radius)),
             Some(shape) => {
-                let axes = shape.decode().semi_axes() * radius;
+                let axes = shape.semi_axes() * radius;
                 axes * axes.transpose()
             }
         }
