@@ -3,6 +3,7 @@
 #![allow(clippy::print_stderr, reason = "a test that is skipped says so")]
 #![allow(clippy::type_complexity, reason = "tables of cases are clearest written out")]
 
+mod aggregates;
 mod ambient_occlusion;
 mod automatic_radii;
 mod bad_bytes;

@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use super::cells::{Children, Leaf};
+use super::cells::{Children, OwnPoints};
 use super::density::{CloudPages, Field};
 use super::error::AggregateError;
 use super::header::LEVELS;
@@ -103,19 +103,22 @@ impl Maker<'_> {
         let mut own = |points: &mut Points| -> Result<(), AggregateError> {
             let half_octaves = self.half_octaves(&field, &unit, points, node.child_mask == 0)?;
             let densities = masses(points, &half_octaves);
-            let leaf = Leaf {
+            let own = OwnPoints {
                 points,
                 half_octaves: &half_octaves,
                 densities: &densities,
-                carried: &self.records.carried,
                 variance: kernel.variance(),
                 few: few_points as usize,
                 maker: &self.records,
             };
-            let level = if divides { u32::from(node.level) } else { LEVELS as u32 - 1 };
-            let (moments, children, below) = leaf.divide(self.cloud.header().root_cell(), level);
+            let moments = if divides {
+                let (moments, children, below) = own.divide(node.level.into());
+                (all.children, all.below) = (children, below);
+                moments
+            } else {
+                own.whole(node.level.into())
+            };
             all.moments.merge(&moments);
-            (all.children, all.below) = (children, below);
             points.clear();
             Ok(())
         };

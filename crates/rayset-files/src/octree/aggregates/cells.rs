@@ -1,10 +1,11 @@
 //! The cells of a leaf: its points are divided by the same curve as nodes are, down to cells of few
-//! points.
+//! points. A cell stands for those of its points whose radii are no larger than its edge: others are
+//! as large as a pixel where it is, and are seen themselves.
 
 use std::ops::Range;
 
 use super::histogram::Masses;
-use super::moments::{Carried, Moments};
+use super::moments::Moments;
 use super::places::PLACES;
 use super::points::Points;
 use super::records::{RecordMaker, RecordsByLevel};
@@ -23,14 +24,13 @@ pub(super) struct Children {
     pub(super) first: u32,
 }
 
-/// The points of a leaf, as its cells are made of them.
-pub(super) struct Leaf<'a> {
+/// The own points of a node, as its record and those of its cells are made of them.
+pub(super) struct OwnPoints<'a> {
     pub(super) points: &'a Points,
     /// The half octaves of the densities at the places in each point.
     pub(super) half_octaves: &'a [Option<i32>],
     /// Of all points.
     pub(super) densities: &'a Masses,
-    pub(super) carried: &'a Carried,
     /// Of the kernel.
     pub(super) variance: f64,
     /// Cells of at most so many points have no record.
@@ -38,17 +38,24 @@ pub(super) struct Leaf<'a> {
     pub(super) maker: &'a RecordMaker,
 }
 
-impl Leaf<'_> {
-    /// The moments of the leaf, whose level is given, and the records of its cells.
-    pub(super) fn divide(&self, root: RootCell, level: u32) -> (Moments, Children, RecordsByLevel) {
+impl OwnPoints<'_> {
+    /// The moments of all points, as those of the cell of a node at this level.
+    pub(super) fn whole(&self, level: u32) -> Moments {
+        let mut moments = Moments::none(&self.maker.carried);
+        self.add(0..self.points.len(), (0.0, self.maker.edge(level)), &mut moments);
+        moments
+    }
+
+    /// The same of a leaf, and the records of its cells.
+    pub(super) fn divide(&self, level: u32) -> (Moments, Children, RecordsByLevel) {
         let mut records = RecordsByLevel::default();
-        let codes = codes(&self.points.position, root);
+        let codes = codes(&self.points.position, self.maker.root);
         let (moments, children) = self.cell(&codes, 0..codes.len(), (level, level), &mut records);
         (moments, children, records)
     }
 
-    /// The moments of a cell, and what records it has below it. Levels are its own and that of the
-    /// leaf.
+    /// The moments of those points of a cell whose radius is no larger than its edge, and what
+    /// records it has below it. Levels are its own and that of the leaf.
     fn cell(
         &self,
         codes: &[u64],
@@ -56,10 +63,11 @@ impl Leaf<'_> {
         (level, of_leaf): (u32, u32),
         records: &mut RecordsByLevel,
     ) -> (Moments, Children) {
-        let mut moments = Moments::none(self.carried);
+        let mut moments = Moments::none(&self.maker.carried);
+        let edge = self.maker.edge(level);
         let deepest = MAX_LEVEL.min(of_leaf + MOST_LEVELS_BELOW);
         if level == deepest || range.len() <= self.few {
-            self.add(range, &mut moments);
+            self.add(range, (0.0, edge), &mut moments);
             return (moments, Children::default());
         }
         let shift = 3 * (MAX_LEVEL - level - 1);
@@ -70,7 +78,7 @@ impl Leaf<'_> {
             let end = start + codes[start..range.end].partition_point(|code| code >> shift <= rank);
             let (below, children) = self.cell(codes, start..end, (level + 1, of_leaf), records);
             moments.merge(&below);
-            if end - start > self.few
+            if below.points > self.few as u64
                 && let Some(mut aggregate) = below.aggregate(self.densities)
             {
                 (aggregate.child_mask, aggregate.first_child) = (children.mask, children.first);
@@ -81,14 +89,19 @@ impl Leaf<'_> {
             }
             start = end;
         }
+        self.add(range, (0.5 * edge, edge), &mut moments);
         let first = records.append((level - of_leaf) as usize, &siblings, self.maker.record_bytes());
         (moments, Children { mask, first })
     }
 
-    fn add(&self, range: Range<usize>, moments: &mut Moments) {
+    /// Adds those of some points whose radii are above a length and no more than another.
+    fn add(&self, range: Range<usize>, (above, most): (f64, f64), moments: &mut Moments) {
         for index in range {
-            let half_octaves = &self.half_octaves[PLACES * index..PLACES * (index + 1)];
-            moments.add(self.points, index, half_octaves, self.variance);
+            let radius = self.points.radius[index];
+            if radius > above && radius <= most {
+                let half_octaves = &self.half_octaves[PLACES * index..PLACES * (index + 1)];
+                moments.add(self.points, index, half_octaves, self.variance);
+            }
         }
     }
 }

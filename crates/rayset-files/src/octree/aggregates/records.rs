@@ -30,12 +30,16 @@ impl RecordMaker {
         AggregateHeader::bytes_of_record(self.carried.color, self.carried.classes.len())
     }
 
+    /// The edge of a cell at a level, world space.
+    pub(super) fn edge(&self, level: u32) -> f64 {
+        self.root.size * 2_f64.powi(-(level as i32))
+    }
+
     /// Appends the record of a cell at a level, with its columns.
     pub(super) fn encode(&self, aggregate: &Aggregate, moments: &Moments, level: u32, records: &mut Vec<u8>) {
         let at = records.len();
         records.resize(at + AGGREGATE_BYTES, 0);
-        let edge = self.root.size * 2_f64.powi(-(level as i32));
-        aggregate.encode(self.root, edge, &mut records[at..]);
+        aggregate.encode(self.root, self.edge(level), &mut records[at..]);
         if self.carried.color {
             let display = moments.color().map(|light| (srgb_from_linear(light) * 255.0).round() as u8);
             records.extend([display[0], display[1], display[2], 0]);
