@@ -11,7 +11,7 @@ use rayset::geometry::{DMat3, DVec3};
 use rayset::octree::Cloud;
 use rayset::octree::aggregates::{
     AGGREGATE_BYTES, Aggregate, AggregateError, AggregateHeader, AggregateOptions, AggregatePage, BINS,
-    PARTS, add_to_file,
+    add_to_file,
 };
 use rayset::octree::build::{BuildOptions, Rule, ShapeRule};
 use rayset::octree::verify::Depth;
@@ -221,7 +221,7 @@ fn densities_are_distributed_as_those_of_the_points_are() {
     }
     let total: f64 = masses.iter().sum();
     for bin in 0..BINS {
-        let is = f64::from(root.densities.fractions[bin]) / f64::from(PARTS);
+        let is = root.densities.fractions()[bin];
         assert!((is - masses[bin] / total).abs() < 0.06, "bin {bin}: {is} and {}", masses[bin] / total);
     }
 }
@@ -319,15 +319,15 @@ fn damage_under_right_checksums_is_an_error_that_says_what() {
         |at: usize, with: Vec<u8>| move |bytes: &mut [u8]| bytes[at..at + with.len()].copy_from_slice(&with);
     // What walks rely on is checked as soon as the page is read.
     for (at, with, said) in [
-        (first + 28, vec![0xff; 4], "sixteen"),
-        (first + 32, vec![0; 4], "one level below"),
-        (first + 32, vec![0xff; 4], "one level below"),
+        (first + 36, vec![0; BINS], "without densities"),
+        (first + 28, vec![0; 4], "one level below"),
+        (first + 28, vec![0xff; 4], "one level below"),
     ] {
         let message = changed(&put(at, with), Depth::Pages).expect_err("it is noticed");
         assert!(message.contains(said) && message.contains("c.rset"), "{message}");
     }
     // The rest is what the points say.
-    for at in [0, 13, 15, 17, 20, 24, 36, AGGREGATE_BYTES] {
+    for at in [0, 13, 15, 17, 20, 24, 32, 37, AGGREGATE_BYTES] {
         let flip = |bytes: &mut [u8]| bytes[first + at] ^= 1;
         assert_eq!(changed(&flip, Depth::Pages), Ok(()), "byte {at}");
         let message = changed(&flip, Depth::Deep).expect_err("it is noticed");
@@ -340,7 +340,7 @@ fn damage_under_right_checksums_is_an_error_that_says_what() {
     );
     let section = *sections.expect("a header").section(SectionKind::AGGREGATE_HEADER).expect("a section");
     for (at, with, said) in [
-        (0, vec![41, 0, 0, 0], "as long as"),
+        (0, vec![49, 0, 0, 0], "as long as"),
         (8, vec![9, 0, 0, 0], "unknown kernel"),
         (16, vec![1, 0, 0, 0], "follow each other"),
         (16 + 4 * 21, vec![0xff; 4], "as many as"),

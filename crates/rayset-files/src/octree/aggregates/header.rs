@@ -112,8 +112,8 @@ pub struct AggregatePage<'a> {
 }
 
 impl<'a> AggregatePage<'a> {
-    /// Checks a page, numbered over all pages of the file: its head, that every record's fractions
-    /// are some, and that its children are records one level below.
+    /// Checks a page, numbered over all pages of the file: its head, that every record has
+    /// densities, and that its children are records one level below.
     ///
     /// # Errors
     /// [`PageError`], which says what is wrong.
@@ -135,7 +135,7 @@ impl<'a> AggregatePage<'a> {
             let number = first + index as u32;
             let level = usize::from(of.level_of(number));
             let Some(record) = this.get(index, level as u8) else {
-                return wrong("an aggregate whose fractions do not sum to sixteen");
+                return wrong("an aggregate without densities");
             };
             let end = u64::from(record.first_child) + u64::from(record.child_mask.count_ones());
             let below = &of.first_of_level[level + 1..];

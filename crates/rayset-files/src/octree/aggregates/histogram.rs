@@ -1,18 +1,17 @@
 //! How the mass of a cell's points is distributed over densities: what a transfer function makes of
 //! it, whatever that is.
 //!
-//! Densities are counted in half octaves. A record has eight bins of half an octave, one, two or
+//! Densities are counted in half octaves. A record has twelve bins of half an octave, one, two or
 //! four: of the finest width of which hardly any mass lies below the last bin, which holds all that
-//! does. Their fractions are sixteenths.
+//! does. Small fractions matter where a transfer function shows low densities alone, which take the
+//! most space: so fractions are stored by their square roots.
 
 use super::scale::{exponent_and_mantissa, power_of_two};
 
 /// Bins of a record.
-pub const BINS: usize = 8;
-/// What the fractions of a record sum to.
-pub const PARTS: u8 = 16;
+pub const BINS: usize = 12;
 /// Most of the mass that may lie in the last bin, if wider ones could tell it apart.
-const MOST_IN_LAST: f64 = 0.03;
+const MOST_IN_LAST: f64 = 0.005;
 
 /// Masses by density: the half octave of the first, and the masses of the following.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -74,7 +73,7 @@ impl Masses {
         Width::ALL.into_iter().find_map(|width| {
             let (top, masses) = self.of_width(width);
             let fits = masses[BINS - 1] < MOST_IN_LAST * total || width == Width::FourOctaves;
-            fits.then(|| DensityBins { width, top, fractions: sixteenths(masses.map(|mass| mass / total)) })
+            fits.then(|| DensityBins { width, top, roots: roots(masses.map(|mass| mass / total)) })
         })
     }
 
@@ -91,15 +90,10 @@ impl Masses {
     }
 }
 
-/// Fractions that sum to one, in sixteenths that sum to 16: the largest remainders are rounded up.
-fn sixteenths(fractions: [f64; BINS]) -> [u8; BINS] {
-    let parts = fractions.map(|fraction| fraction * f64::from(PARTS));
-    let mut whole = parts.map(|part| part as u8);
-    let mut by_remainder: [usize; BINS] = std::array::from_fn(|i| i);
-    by_remainder.sort_by(|&a, &b| parts[b].fract().total_cmp(&parts[a].fract()));
-    let missing = PARTS.saturating_sub(whole.iter().sum());
-    by_remainder.iter().cycle().take(usize::from(missing)).for_each(|&bin| whole[bin] += 1);
-    whole
+/// The square roots of fractions, in parts of the largest.
+fn roots(fractions: [f64; BINS]) -> [u8; BINS] {
+    let largest = fractions.into_iter().fold(0.0, f64::max);
+    fractions.map(|fraction| ((fraction / largest).sqrt() * 255.0).round() as u8)
 }
 
 /// The width of bins.
@@ -141,27 +135,19 @@ pub struct DensityBins {
     /// The number of the first, of the highest densities: bin n is from 2^(n·w/2) to 2^((n + 1)·w/2), with
     /// w half octaves.
     pub top: i16,
-    /// Of how many sixteenths of the mass the densities lie in each, from the highest down; in the
-    /// last, or below it.
-    pub fractions: [u8; BINS],
+    /// The square roots of the fractions of the mass whose densities lie in each, in parts of 255 of
+    /// the largest, from the highest densities down; the last bin also has what lies below it.
+    pub roots: [u8; BINS],
 }
 
 impl DensityBins {
-    /// The fractions, four bits each. A bin that has all has 15: no others sum to that.
-    pub(super) fn pack(&self) -> u32 {
-        let bits = |(at, &parts): (usize, &u8)| u32::from(parts.min(PARTS - 1)) << (4 * at);
-        self.fractions.iter().enumerate().map(bits).sum()
-    }
-
-    /// Those of four bytes; `None` if the fractions sum to anything but 16.
-    pub(super) fn unpack(width: Width, top: i16, packed: u32) -> Option<Self> {
-        let mut fractions: [u8; BINS] = std::array::from_fn(|at| (packed >> (4 * at) & 15) as u8);
-        if let Some(only) = fractions.iter_mut().find(|parts| **parts == PARTS - 1)
-            && packed.count_ones() == 4
-        {
-            *only = PARTS;
-        }
-        (fractions.iter().sum::<u8>() == PARTS).then_some(Self { width, top, fractions })
+    /// The fractions of the mass, which sum to one; none if all roots are 0.
+    #[must_use]
+    #[inline]
+    pub fn fractions(&self) -> [f64; BINS] {
+        let squares = self.roots.map(|root| f64::from(u32::from(root) * u32::from(root)));
+        let sum: f64 = squares.iter().sum();
+        squares.map(|square| square / sum)
     }
 
     /// The lower bound of a bin's densities.
@@ -180,22 +166,22 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bins_hold_the_masses_to_a_sixteenth_and_survive_four_bytes(
-            of in prop::collection::vec((-60..60_i32, 0.01..1.0_f64), 1..40),
+        fn bins_hold_the_masses_to_a_part_of_each(
+            of in prop::collection::vec((-60..60_i32, 0.001..1.0_f64), 1..40),
         ) {
             let mut masses = Masses::default();
             of.iter().for_each(|&(half_octave, mass)| masses.add(half_octave, mass));
             let bins = masses.bins().unwrap();
-            prop_assert_eq!(bins.fractions.iter().sum::<u8>(), PARTS);
-            prop_assert_eq!(DensityBins::unpack(bins.width, bins.top, bins.pack()), Some(bins));
+            let fractions = bins.fractions();
+            prop_assert!((fractions.iter().sum::<f64>() - 1.0).abs() < 1e-12);
             let total: f64 = of.iter().map(|(_, mass)| mass).sum();
             for bin in 0..BINS - 1 {
                 let from = bins.lower_bound(bin);
                 let to = from * 0.5 * f64::from(bins.width.half_octaves()).exp2().sqrt() * 2.0;
                 let middle = |half_octave: i32| ((f64::from(half_octave) + 0.5) * 0.5).exp2();
                 let within: f64 = of.iter().filter(|(at, _)| (from..to).contains(&middle(*at))).map(|(_, m)| m).sum();
-                let is = f64::from(bins.fractions[bin]) / f64::from(PARTS);
-                prop_assert!((is - within / total).abs() <= 1.0 / f64::from(PARTS), "bin {bin}: {is} and {within} of {total}");
+                let (is, was) = (fractions[bin], within / total);
+                prop_assert!((is - was).abs() <= 0.01 * was + 0.005 * was.sqrt() + 1e-5, "bin {bin}: {is} and {was}");
             }
         }
 
@@ -211,7 +197,7 @@ mod tests {
             a.merge(&b);
             let (a, all) = (a.bins().unwrap(), all.bins().unwrap());
             prop_assert_eq!((a.top, a.width), (all.top, all.width));
-            prop_assert!(a.fractions.iter().zip(all.fractions).all(|(a, b)| a.abs_diff(b) <= 1));
+            prop_assert!(a.roots.iter().zip(all.roots).all(|(a, b)| a.abs_diff(b) <= 1));
         }
     }
 
@@ -231,16 +217,10 @@ mod tests {
         let mut masses = Masses::default();
         masses.add(-7, 3.0);
         let bins = masses.bins().unwrap();
-        assert_eq!(
-            (bins.width, bins.top, bins.fractions),
-            (Width::HalfOctave, -7, [16, 0, 0, 0, 0, 0, 0, 0])
-        );
-        assert_eq!(DensityBins::unpack(bins.width, -7, bins.pack()), Some(bins));
-        for packed in [0, 1, 0x11, u32::MAX] {
-            assert_eq!(DensityBins::unpack(Width::Octave, 0, packed), None, "{packed:x}");
-        }
-        // Fifteen and one are no full bin.
-        let two = DensityBins { fractions: [15, 1, 0, 0, 0, 0, 0, 0], ..bins };
-        assert_eq!(DensityBins::unpack(two.width, two.top, two.pack()), Some(two));
+        let mut full = [0; BINS];
+        full[0] = 255;
+        assert_eq!((bins.width, bins.top, bins.roots), (Width::HalfOctave, -7, full));
+        assert_eq!(bins.fractions()[..2], [1.0, 0.0]);
+        assert_eq!((bins.lower_bound(0), bins.lower_bound(1)), (0.5_f64.powf(3.5), 0.5_f64.powi(4)));
     }
 }

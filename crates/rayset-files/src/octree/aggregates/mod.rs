@@ -38,7 +38,7 @@ use self::build::Maker;
 use self::compare::Comparison;
 pub use self::error::AggregateError;
 pub use self::header::{AggregateHeader, AggregatePage, LEVELS};
-pub use self::histogram::{BINS, DensityBins, PARTS, Width};
+pub use self::histogram::{BINS, DensityBins, Width};
 use self::moments::Carried;
 pub use self::options::AggregateOptions;
 pub use self::record::{AGGREGATE_BYTES, Aggregate};

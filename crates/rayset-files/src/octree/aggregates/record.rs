@@ -1,12 +1,12 @@
 //! Records of aggregates: what stands for all points of a cell, seen from where the cell is small.
 
-use super::histogram::{DensityBins, Width};
+use super::histogram::{BINS, DensityBins, Width};
 use super::scale::{Scale, ShortFloat};
 use crate::octree::layout::RootCell;
 use rayset_base::geometry::{DQuat, DVec3};
 
 /// Bytes of a record before its columns.
-pub const AGGREGATE_BYTES: usize = 40;
+pub const AGGREGATE_BYTES: usize = 48;
 
 /// Steps of a centroid along the edge of the root cell.
 const PLACES: f64 = 4_294_967_296.0;
@@ -42,7 +42,7 @@ pub struct Aggregate {
 }
 
 impl Aggregate {
-    /// Writes the record into its 40 bytes. `edge` is that of its cell, world space.
+    /// Writes the record into its 48 bytes. `edge` is that of its cell, world space.
     pub(super) fn encode(&self, root: RootCell, edge: f64, bytes: &mut [u8]) {
         let mut at = 0;
         let mut put = |field: &[u8]| {
@@ -61,30 +61,35 @@ impl Aggregate {
         put(&mass.exponent.to_le_bytes());
         put(&self.densities.top.to_le_bytes());
         put(&[self.densities.width.code(), self.child_mask]);
-        put(&self.densities.pack().to_le_bytes());
         put(&self.first_child.to_le_bytes());
         put(&self.first_point.to_le_bytes());
         put(&self.more_points.to_le_bytes());
+        put(&self.densities.roots);
     }
 
-    /// Reads the record of a cell with this edge, world space; `None` if its fractions are none.
+    /// Reads the record of a cell with this edge, world space; `None` if it has no
+    /// densities.
     #[must_use]
     pub fn decode(bytes: &[u8], root: RootCell, edge: f64) -> Option<Self> {
         let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
         let u32_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
         let place = DVec3::from_array([0, 4, 8].map(|at| f64::from(u32_at(at)) / PLACES));
-        let width = Width::of_code(bytes[26]);
+        let roots = std::array::from_fn(|bin| bytes[36 + bin]);
+        let densities = DensityBins { width: Width::of_code(bytes[26]), top: u16_at(24) as i16, roots };
+        if roots == [0; BINS] {
+            return None;
+        }
         Some(Self {
             centroid: root.min + place * root.size,
             deviations: [12, 13, 14].map(|at| Scale::Sixteenths.length(bytes[at]) * edge),
             radius: Scale::Eighths.length(bytes[15]) * edge,
             rotation: unpack_rotation(u32_at(16)),
             mass: ShortFloat { mantissa: u16_at(20), exponent: u16_at(22) as i16 }.number(),
-            densities: DensityBins::unpack(width, u16_at(24) as i16, u32_at(28))?,
+            densities,
             child_mask: bytes[27],
-            first_child: u32_at(32),
-            first_point: u16_at(36),
-            more_points: u16_at(38),
+            first_child: u32_at(28),
+            first_point: u16_at(32),
+            more_points: u16_at(34),
         })
     }
 }
@@ -138,7 +143,7 @@ mod tests {
         ) {
             prop_assume!(q.iter().any(|v| v.abs() > 0.1));
             let [a, b, c, radius] = exponents.map(f64::exp2);
-            let fractions = [3, 0, 10, 1, 0, 0, 0, 2];
+            let roots = [3, 0, 255, 1, 0, 0, 0, 2, 0, 0, 9, 1];
             let (child_mask, first_child, first_point, more_points) = numbers;
             let aggregate = Aggregate {
                 centroid: ROOT.min + DVec3::from_array(place),
@@ -146,7 +151,7 @@ mod tests {
                 deviations: [a, b, c],
                 rotation: DQuat::from_array(q).normalize(),
                 radius,
-                densities: DensityBins { width: Width::Octave, top: -300, fractions },
+                densities: DensityBins { width: Width::Octave, top: -300, roots },
                 child_mask, first_child, first_point, more_points,
             };
             let mut bytes = [0; AGGREGATE_BYTES];

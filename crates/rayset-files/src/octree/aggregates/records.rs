@@ -8,7 +8,7 @@ use crate::octree::layout::RootCell;
 use rayset_base::srgb::srgb_from_linear;
 
 /// Where the number of the first child is in a record.
-const FIRST_CHILD_AT: usize = 32;
+const FIRST_CHILD_AT: usize = 28;
 /// Where the mask of children is.
 const CHILD_MASK_AT: usize = 27;
 

@@ -4,6 +4,7 @@
 //! are a parameter ([`ReferenceSteps`]). The fields of clouds may be supplied from outside; the
 //! renderer is then the discrete ray tracer with which samples of another engine are compared.
 
+pub mod far;
 mod grid;
 mod maps;
 mod sample;

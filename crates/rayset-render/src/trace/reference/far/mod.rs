@@ -1,0 +1,423 @@
+//! What is seen of a cloud from afar, in `f64`: the cut through its aggregates for a picture, and
+//! the light that is absorbed along each ray. It is the judge of level of detail, and slow.
+//!
+//! A node or a cell of edge e, where a pixel is ρ wide, stands for its points by the part
+//! S(log₂(ρ/e) + ½), with S the smoothstep; what is below it has the rest. So what has a part lies
+//! from 0.7 e to 1.4 e, and every point is seen once altogether. Which cells of a leaf stand for its
+//! points follows from the leaf's place: those of one level, and of the next. A point that is seen
+//! by itself is a density by S(log₂(r/ρ)), and a Gaussian like aggregates by the rest.
+
+mod closure;
+
+use std::ops::Range;
+
+use self::closure::{Absorber, Seen, Sums};
+use crate::field::Sight;
+use crate::scene::{Camera, CloudObject};
+use rayset_base::geometry::{DMat3, DVec3, Ray, Shape};
+use rayset_files::octree::Cloud;
+use rayset_files::octree::aggregates::{Aggregate, AggregatePage};
+use rayset_files::octree::layout::{NodeRef, RootCell};
+use rayset_files::octree::node::{Node, NodePage};
+use rayset_files::octree::page::PointPage;
+use rayset_files::paged_file::HasPages;
+use rayset_store::container::ScanError;
+use rayset_store::working_set::Kind;
+
+/// Gaussians end at so many deviations.
+const DEVIATIONS: f64 = 3.2;
+/// Distance between samples, in pixels.
+const STEP: f64 = 0.17;
+/// Least part that is not left out.
+const LEAST_PART: f64 = 1e-6;
+
+/// S(x) of x from 0 to 1.
+fn smoothstep(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    x * x * (3.0 - 2.0 * x)
+}
+
+/// A point that is seen by itself.
+#[derive(Clone, Copy, Debug)]
+struct SolidPoint {
+    position: DVec3,
+    radius: f64,
+    weight: f64,
+    shape: Shape,
+}
+
+impl SolidPoint {
+    fn mass(&self) -> f64 {
+        self.weight * self.radius.powi(3) * self.shape.volume()
+    }
+}
+
+/// All that a file says.
+struct File {
+    nodes: Vec<Vec<Node>>,
+    records: Vec<Aggregate>,
+    points: Vec<SolidPoint>,
+    /// For each page and each run in it, its points.
+    runs: Vec<Vec<Range<usize>>>,
+    root: RootCell,
+}
+
+/// What is seen of a cloud in a picture.
+pub struct Far {
+    /// With the part of each.
+    gaussians: Vec<(f64, Seen)>,
+    densities: Vec<SolidPoint>,
+    file: File,
+    object: CloudObject,
+    unit_distance: f64,
+    sight: Sight,
+}
+
+impl Far {
+    /// What is seen of a cloud by a camera in a picture of this size, whose pixels are taken to be
+    /// `factor` times as wide. `None` if the file has no aggregates.
+    ///
+    /// # Errors
+    /// [`ScanError`] if the file cannot be read or is damaged.
+    ///
+    /// Panics if the camera is invalid.
+    pub fn new(
+        object: &CloudObject,
+        unit_distance: f64,
+        (camera, width, height): (&Camera, u32, u32),
+        factor: f64,
+    ) -> Result<Option<Self>, ScanError> {
+        let Some(file) = File::load(&object.cloud, object.kernel.integral(), object.normalised)? else {
+            return Ok(None);
+        };
+        let sight = camera.ray_maker(width, height).expect("a valid camera").sight();
+        let sight = Sight { pixel: sight.pixel * factor, ..sight };
+        let (gaussians, densities) = (Vec::new(), Vec::new());
+        let mut far = Self { gaussians, densities, file, object: object.clone(), unit_distance, sight };
+        let root = far.object.cloud.header().root;
+        let node = far.file.nodes[root.page as usize][usize::from(root.index)];
+        far.node(&node, Some(0), 1.0, 0.0);
+        Ok(Some(far))
+    }
+
+    /// How many Gaussians and how many points by themselves are seen.
+    #[must_use]
+    pub fn counts(&self) -> (usize, usize) {
+        (self.gaussians.len(), self.densities.len())
+    }
+
+    fn g(&self) -> impl Fn(f64) -> f64 + '_ {
+        |density| self.object.transfer.opacity.extinction(density, self.unit_distance)
+    }
+
+    fn edge(&self, level: u32) -> f64 {
+        self.file.root.size * 0.5_f64.powi(level as i32)
+    }
+
+    /// The part by which a cell with this edge stands for its points.
+    fn part(&self, edge: f64, pixel: f64) -> f64 {
+        smoothstep((pixel / edge).log2() + 0.5)
+    }
+
+    /// Adds an aggregate by a part; returns its cross-section for a unit of mass.
+    fn aggregate(&mut self, number: u32, part: f64) -> f64 {
+        let aggregate = self.file.records[number as usize];
+        let kernel = (self.object.kernel.integral(), self.object.kernel.variance());
+        let absorber = Absorber::of(&aggregate, kernel, self.g());
+        if part > LEAST_PART {
+            self.see(&absorber, part);
+        }
+        absorber.cross_section / (kernel.0 * aggregate.mass)
+    }
+
+    fn see(&mut self, absorber: &Absorber, part: f64) {
+        let pixel = self.sight.pixel_at(absorber.center);
+        let seen = absorber.seen(self.sight.eye.toward(absorber.center), pixel);
+        self.gaussians.push((part, seen));
+    }
+
+    /// Adds what is seen of a node by a part. `of_mass` is the cross-section of a unit of mass
+    /// above it.
+    fn node(&mut self, node: &Node, record: Option<u32>, part: f64, of_mass: f64) {
+        let mut below = part;
+        let mut of_mass = of_mass;
+        let mut pixel = None;
+        if let Some(number) = record {
+            let here = self.sight.pixel_at(self.file.records[number as usize].centroid);
+            let own = self.part(self.edge(node.level.into()), here);
+            of_mass = self.aggregate(number, part * own);
+            below = part * (1.0 - own);
+            pixel = Some(here);
+        }
+        if below <= LEAST_PART {
+            return;
+        }
+        let own = self.file.own_points(node);
+        match (node.child_mask, record, pixel) {
+            (0, Some(number), Some(pixel)) => self.leaf((node, number), own, (below, pixel), of_mass),
+            _ => own.for_each(|index| self.point(index, below, of_mass)),
+        }
+        let of_node = record.map(|number| self.file.records[number as usize]);
+        let mut child_record = of_node.map_or(0, |record| record.first_child);
+        let NodeRef { page, index } = node.first_child;
+        let mut at = usize::from(index);
+        for rank in (0..8).filter(|rank| node.child_mask >> rank & 1 == 1) {
+            let child = self.file.nodes[page as usize][at];
+            let has_record = of_node.is_some_and(|record| record.child_mask >> rank & 1 == 1);
+            self.node(&child, has_record.then_some(child_record), below, of_mass);
+            child_record += u32::from(has_record);
+            at += 1;
+        }
+    }
+
+    /// Adds what is seen of a leaf below itself: cells of one level, and of the next.
+    fn leaf(
+        &mut self,
+        (node, record): (&Node, u32),
+        own: Range<usize>,
+        (part, pixel): (f64, f64),
+        of_mass: f64,
+    ) {
+        let mut parts = vec![part; own.len()];
+        let mut of_masses = vec![of_mass; own.len()];
+        let mut cells = vec![record];
+        let mut level = u32::from(node.level);
+        let mut left = part;
+        while !cells.is_empty() && left > LEAST_PART {
+            level += 1;
+            let children = |&cell: &u32| {
+                let Aggregate { child_mask, first_child, .. } = self.file.records[cell as usize];
+                first_child..first_child + child_mask.count_ones()
+            };
+            cells = cells.iter().flat_map(children).collect();
+            let edge = self.edge(level);
+            let here = left * self.part(edge, pixel);
+            left -= here;
+            for &cell in &cells {
+                let of_mass = self.aggregate(cell, here);
+                let Aggregate { first_point, more_points, .. } = self.file.records[cell as usize];
+                let first = usize::from(first_point);
+                for at in first..=first + usize::from(more_points) {
+                    if self.file.points[own.start + at].radius <= edge {
+                        parts[at] -= here;
+                        of_masses[at] = of_mass;
+                    }
+                }
+            }
+        }
+        for (at, index) in own.enumerate() {
+            self.point(index, parts[at], of_masses[at]);
+        }
+    }
+
+    /// Adds a point by a part; `of_mass` is the cross-section of a unit of the mass around it.
+    fn point(&mut self, index: usize, part: f64, of_mass: f64) {
+        let point = self.file.points[index];
+        let pixel = self.sight.pixel_at(point.position);
+        let as_density = smoothstep((point.radius / pixel).log2());
+        if part * as_density > LEAST_PART {
+            self.densities.push(SolidPoint { weight: point.weight * part * as_density, ..point });
+        }
+        let rest = part * (1.0 - as_density);
+        if rest > LEAST_PART {
+            let lengths = DVec3::new(1.0, point.shape.ratios[0], point.shape.ratios[1]) * point.radius;
+            let absorber = Absorber {
+                center: point.position,
+                axes: DMat3::from_quat(point.shape.rotation),
+                variances: lengths * lengths * self.object.kernel.variance(),
+                cross_section: of_mass * self.object.kernel.integral() * point.mass(),
+            };
+            self.see(&absorber, rest);
+        }
+    }
+
+    /// The opacity along a ray.
+    #[must_use]
+    pub fn opacity(&self, ray: &Ray) -> f64 {
+        let near: Vec<Chord> = self.gaussians.iter().filter_map(|of| Chord::of(of, ray)).collect();
+        let points: Vec<&SolidPoint> = self.densities.iter().filter(|point| point.is_near(ray)).collect();
+        let reach = |point: &&SolidPoint| {
+            let along = (point.position - ray.origin).dot(ray.direction);
+            (along - point.radius, along + point.radius)
+        };
+        let spans = near.iter().map(|chord| (chord.from, chord.to)).chain(points.iter().map(reach));
+        let (from, to) =
+            spans.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), (from, to)| (a.min(from), b.max(to)));
+        let from = from.max(0.0);
+        let mut depth = 0.0;
+        let mut at = from;
+        while at < to && depth < 20.0 {
+            let place = ray.origin + ray.direction * at;
+            let least =
+                points.iter().map(|point| point.radius * point.shape.ratios[1]).fold(f64::INFINITY, f64::min);
+            let step = (STEP * self.sight.pixel_at(place)).min(0.25 * least);
+            depth += self.extinction(at + 0.5 * step, ray, &near, &points) * step;
+            at += step;
+        }
+        -(-depth).exp_m1()
+    }
+
+    fn extinction(&self, at: f64, ray: &Ray, near: &[Chord], points: &[&SolidPoint]) -> f64 {
+        let mut sums = Sums::default();
+        for chord in near.iter().filter(|chord| (chord.from..chord.to).contains(&at)) {
+            sums.add(chord.area_at(at), &chord.seen);
+        }
+        let place = ray.origin + ray.direction * at;
+        let density: f64 = points.iter().map(|point| self.density(point, place)).sum();
+        sums.extinction() + self.g()(density)
+    }
+
+    fn density(&self, point: &SolidPoint, place: DVec3) -> f64 {
+        let offset = point.shape.unit_from_local() * (place - point.position) / point.radius;
+        point.weight * self.object.kernel.value(offset.length_squared())
+    }
+}
+
+impl SolidPoint {
+    fn is_near(&self, ray: &Ray) -> bool {
+        let to = self.position - ray.origin;
+        (to - ray.direction * to.dot(ray.direction)).length_squared() < self.radius * self.radius
+    }
+}
+
+/// A ray through a Gaussian.
+struct Chord {
+    seen: Seen,
+    /// Distances along the ray.
+    from: f64,
+    to: f64,
+    /// Where the ray is nearest to the middle, how its exponent grows from there, and the area by
+    /// density there.
+    nearest: f64,
+    growth: f64,
+    area: f64,
+}
+
+impl Chord {
+    fn of((part, seen): &(f64, Seen), ray: &Ray) -> Option<Self> {
+        let turned = seen.axes.transpose();
+        let deviations = DVec3::from_array(seen.variances.to_array().map(f64::sqrt));
+        let (o, d) = (turned * (ray.origin - seen.center) / deviations, turned * ray.direction / deviations);
+        let growth = d.length_squared();
+        let nearest = -o.dot(d) / growth;
+        let least = (o + d * nearest).length_squared();
+        let inside = DEVIATIONS * DEVIATIONS - least;
+        if inside <= 0.0 {
+            return None;
+        }
+        let half = (inside / growth).sqrt();
+        let normalised = std::f64::consts::TAU.powf(-1.5) / deviations.element_product();
+        let area = part * seen.area * normalised * (-0.5 * least).exp();
+        Some(Self { seen: *seen, from: nearest - half, to: nearest + half, nearest, growth, area })
+    }
+
+    fn area_at(&self, at: f64) -> f64 {
+        let way = at - self.nearest;
+        self.area * (-0.5 * self.growth * way * way).exp()
+    }
+}
+
+impl File {
+    /// Reads everything; `None` if there are no aggregates.
+    fn load(cloud: &Cloud, integral: f64, normalised: bool) -> Result<Option<Self>, ScanError> {
+        let header = cloud.header();
+        let Some(known) = &header.aggregates else { return Ok(None) };
+        let root = header.root_cell();
+        let mut file =
+            Self { nodes: Vec::new(), records: Vec::new(), points: Vec::new(), runs: Vec::new(), root };
+        cloud.stored_file().for_each_page(|page, bytes| {
+            let kind = if page < header.point_pages {
+                Kind::Points
+            } else if page < header.point_pages + header.node_pages {
+                Kind::Octree
+            } else {
+                Kind::Aggregates
+            };
+            match kind {
+                Kind::Points => {
+                    let of_page = PointPage::trusted(bytes, header);
+                    file.runs.push(
+                        (0..of_page.len())
+                            .map(|run| {
+                                let (run, first) = (of_page.run(run), file.points.len());
+                                let n = run.head.len();
+                                let mut radii = run.radii(header);
+                                let mut weights = run.weights(header);
+                                let mut shapes = run.shapes(header);
+                                for (_, position) in (0..n).zip(run.positions(root)) {
+                                    let radius = radii
+                                        .as_mut()
+                                        .and_then(Iterator::next)
+                                        .unwrap_or(header.radius.min());
+                                    let weight = weights
+                                        .as_mut()
+                                        .and_then(Iterator::next)
+                                        .unwrap_or(header.weight.min());
+                                    let shape = shapes
+                                        .as_mut()
+                                        .and_then(Iterator::next)
+                                        .map_or(Shape::BALL, |s| s.decode());
+                                    let (radius, mut weight) = (f64::from(radius), f64::from(weight));
+                                    if normalised {
+                                        weight /= integral * radius.powi(3) * shape.volume();
+                                    }
+                                    file.points.push(SolidPoint { position, radius, weight, shape });
+                                }
+                                first..file.points.len()
+                            })
+                            .collect(),
+                    );
+                }
+                Kind::Octree => {
+                    let of_page = NodePage::trusted(bytes);
+                    file.nodes.push((0..of_page.len()).filter_map(|index| of_page.get(index)).collect());
+                }
+                _ => {
+                    let of_page = AggregatePage::trusted(bytes, header, known);
+                    for index in 0..of_page.len() {
+                        let level = known.level_of(file.records.len() as u32);
+                        file.records.extend(of_page.get(index, level));
+                    }
+                }
+            }
+        })?;
+        Ok(Some(file))
+    }
+
+    /// The numbers of a node's own points.
+    fn own_points(&self, node: &Node) -> Range<usize> {
+        let (mut page, mut run) = (node.own.first_page as usize, usize::from(node.own.first_run));
+        let mut range = None::<Range<usize>>;
+        for _ in 0..node.own.runs {
+            if run == self.runs[page].len() {
+                (page, run) = (page + 1, 0);
+            }
+            let of_run = self.runs[page][run].clone();
+            range = Some(range.map_or(of_run.clone(), |range| range.start..of_run.end));
+            run += 1;
+        }
+        range.unwrap_or(0..0)
+    }
+}
+
+/// The opacities of a picture's pixels at their middles, row by row.
+///
+/// Panics if the camera is invalid.
+#[must_use]
+pub fn opacities(far: &Far, (camera, width, height): (&Camera, u32, u32)) -> Vec<f64> {
+    let rays = camera.ray_maker(width, height).expect("a valid camera");
+    let pixel = |at: usize| far.opacity(&rays.pixel_ray(at as u32 % width, at as u32 / width));
+    let mut opacities = vec![0.0; width as usize * height as usize];
+    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let share = opacities.len().div_ceil(threads).max(1);
+    std::thread::scope(|scope| {
+        for (number, share_of) in opacities.chunks_mut(share).enumerate() {
+            scope.spawn(move || {
+                for (at, opacity) in (number * share..).zip(share_of) {
+                    *opacity = pixel(at);
+                }
+            });
+        }
+    });
+    opacities
+}
