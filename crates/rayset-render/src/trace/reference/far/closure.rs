@@ -29,6 +29,8 @@ pub(super) struct Absorber {
     /// Principal axes, as columns, and variances along them: of what absorbs, without pixels.
     pub(super) axes: DMat3,
     pub(super) variances: DVec3,
+    /// What its density integrates to.
+    pub(super) mass: f64,
     /// The area that it takes of the light, seen by itself.
     pub(super) cross_section: f64,
 }
@@ -45,6 +47,7 @@ impl Absorber {
             center: aggregate.centroid,
             axes: DMat3::from_quat(aggregate.rotation),
             variances,
+            mass: integral * aggregate.mass,
             cross_section: cross_section(aggregate, variances, (integral, variance), g),
         }
     }
@@ -66,6 +69,7 @@ impl Absorber {
             center: self.center,
             axes: self.axes,
             variances: blurred,
+            mass: self.mass,
             area: if area > 0.0 { area } else { self.cross_section / MOST_DEPTH },
             opacity: -(-depth).exp_m1(),
             length,
@@ -134,6 +138,8 @@ pub(super) struct Seen {
     pub(super) axes: DMat3,
     /// Widened by a pixel.
     pub(super) variances: DVec3,
+    /// What its density integrates to.
+    pub(super) mass: f64,
     /// P, the area that it covers.
     pub(super) area: f64,
     /// c, the part of the light that it takes there.
@@ -142,16 +148,21 @@ pub(super) struct Seen {
     pub(super) length: f64,
 }
 
-/// Sums over what is seen at a place, of which each has an area by its density there.
+/// Sums over what is seen at a place, of which each has a part of its area and its mass there.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums {
+    /// The density, as far as pixels tell.
+    pub(super) density: f64,
     area: f64,
     area_length: f64,
     area_opacity: f64,
 }
 
 impl Sums {
-    pub(super) fn add(&mut self, area: f64, seen: &Seen) {
+    /// Adds what has this share of its own at the place, for a unit of volume.
+    pub(super) fn add(&mut self, share: f64, seen: &Seen) {
+        let area = share * seen.area;
+        self.density += share * seen.mass;
         self.area += area;
         self.area_length += area * seen.length;
         self.area_opacity += area * seen.opacity;

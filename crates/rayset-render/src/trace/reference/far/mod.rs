@@ -225,6 +225,7 @@ impl Far {
                 center: point.position,
                 axes: DMat3::from_quat(point.shape.rotation),
                 variances: lengths * lengths * self.object.kernel.variance(),
+                mass: self.object.kernel.integral() * point.mass(),
                 cross_section: of_mass * self.object.kernel.integral() * point.mass(),
             };
             self.see(&absorber, rest);
@@ -260,11 +261,14 @@ impl Far {
     fn extinction(&self, at: f64, ray: &Ray, near: &[Chord], points: &[&SolidPoint]) -> f64 {
         let mut sums = Sums::default();
         for chord in near.iter().filter(|chord| (chord.from..chord.to).contains(&at)) {
-            sums.add(chord.area_at(at), &chord.seen);
+            sums.add(chord.share_at(at), &chord.seen);
         }
         let place = ray.origin + ray.direction * at;
         let density: f64 = points.iter().map(|point| self.density(point, place)).sum();
-        sums.extinction() + self.g()(density)
+        // What is seen as aggregates adds to the density in which the points are, too.
+        let all = density + sums.density;
+        let of_points = if density > 0.0 { self.g()(all) * density / all } else { 0.0 };
+        sums.extinction() + of_points
     }
 
     fn density(&self, point: &SolidPoint, place: DVec3) -> f64 {
@@ -286,11 +290,11 @@ struct Chord {
     /// Distances along the ray.
     from: f64,
     to: f64,
-    /// Where the ray is nearest to the middle, how its exponent grows from there, and the area by
-    /// density there.
+    /// Where the ray is nearest to the middle, how its exponent grows from there, and its share for a
+    /// unit of volume there.
     nearest: f64,
     growth: f64,
-    area: f64,
+    share: f64,
 }
 
 impl Chord {
@@ -307,13 +311,13 @@ impl Chord {
         }
         let half = (inside / growth).sqrt();
         let normalised = std::f64::consts::TAU.powf(-1.5) / deviations.element_product();
-        let area = part * seen.area * normalised * (-0.5 * least).exp();
-        Some(Self { seen: *seen, from: nearest - half, to: nearest + half, nearest, growth, area })
+        let share = part * normalised * (-0.5 * least).exp();
+        Some(Self { seen: *seen, from: nearest - half, to: nearest + half, nearest, growth, share })
     }
 
-    fn area_at(&self, at: f64) -> f64 {
+    fn share_at(&self, at: f64) -> f64 {
         let way = at - self.nearest;
-        self.area * (-0.5 * self.growth * way * way).exp()
+        self.share * (-0.5 * self.growth * way * way).exp()
     }
 }
 
