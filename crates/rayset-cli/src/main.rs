@@ -56,8 +56,8 @@ enum Command {
     /// Say what is in a cloud or grid, or in any file of points or voxels, and how much memory it
     /// wants
     Info(info::InfoArgs),
-    /// Add to a cloud file what stands for its points from afar. Not shown, as long as no picture is
-    /// made of it
+    /// Add to a cloud file what stands for its points from afar
+    // Not shown, as long as no picture is made of it.
     #[command(hide = true)]
     Lod(lod::LodArgs),
     /// Check a cloud file

@@ -5,6 +5,8 @@
 //! number of threads or the order of the inputs.
 
 pub use rayset_files::grid::build::{GridBuildError, GridBuildOptions, build as grid_to_file};
+// For the program, as long as no picture is made of them.
+#[doc(hidden)]
 pub use rayset_files::octree::aggregates::{
     AggregateError, AggregateHeader, AggregateOptions, add_to_file as add_aggregates,
 };

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::aggregates::AggregatePage;
+use super::aggregates::page::AggregatePage;
 use super::format::Header;
 use super::node::NodePage;
 use super::page::{PointPage, Run};

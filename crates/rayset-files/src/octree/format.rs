@@ -4,7 +4,7 @@
 //! `docs/format.md` describes the same tables in prose. The surrounding container format is in
 //! [`rayset_store::container`].
 
-use super::aggregates::AggregateHeader;
+use super::aggregates::header::AggregateHeader;
 use super::harmonics::{self, MOST_DEGREE};
 use super::layout::{ColumnLayout, NodeRef, RUN_HEAD_BYTES, RUN_POINTS, RootCell, nodes_per_page};
 use crate::points::ColumnType;
@@ -369,7 +369,8 @@ impl Header {
         if first_page.checked_add(pages.pages).is_none() || pages.offset != self.page_offset(first_page) {
             return Err(wrong("the pages of aggregates do not follow those of nodes"));
         }
-        AggregateHeader::decode(&bytes, pages.pages, self).map(Some).map_err(wrong)
+        let record_bytes = AggregateHeader::bytes_of_record(self.has_color, self.attributes.len());
+        AggregateHeader::decode(&bytes, pages.pages, (self.page_bytes, record_bytes)).map(Some).map_err(wrong)
     }
 
     fn decode_numbers(bytes: &[u8], file: &FileHeader) -> Option<Self> {

@@ -17,8 +17,13 @@ use rayset::octree::build::{BuildOptions, Rule, ShapeRule};
 use rayset::octree::verify::Depth;
 use rayset::paged_file::HasPages;
 use rayset::points::{ArraySource, Workload};
+use rayset::scene::{
+    Camera, CloudObject, ColorRule, Lighting, OpacityRule, Projection, Scene, TransferFunction,
+};
+use rayset::trace::ExecSettings;
+use rayset::trace::reference::far::{Far, opacities};
 
-use crate::common::{Random, build_at, folder, mixed_points};
+use crate::common::{Random, build_at, folder, mixed_points, paged, picture, settings};
 
 fn options() -> AggregateOptions {
     AggregateOptions::default().with_memory_bytes(64 << 20).with_threads(2)
@@ -375,4 +380,73 @@ fn points_that_have_none_are_refused_by_name() {
     token.cancel();
     let cancelled = add_to_file(&path, &path, &options(), &|_, _| {}, &token);
     assert!(matches!(cancelled, Err(AggregateError::Cancelled)), "{cancelled:?}");
+}
+
+/// A cloud with aggregates, alone, and a camera at a distance before it.
+fn seen_from(path: &Path, distance: f64) -> (CloudObject, Camera) {
+    let cloud = Arc::new(Cloud::open(path).expect("it opens"));
+    let transfer = TransferFunction { opacity: OpacityRule::Clamp, color: ColorRule::Uniform([1.0; 3]) };
+    let position = DVec3::new(0.0, 0.0, -distance);
+    let projection = Projection::Perspective { fovy: 2.0 * (1.3 / distance).atan() };
+    let camera = Camera { position, direction: DVec3::Z, up: DVec3::Y, projection };
+    (CloudObject { transfer, ..CloudObject::plain(cloud) }, camera)
+}
+
+#[test]
+fn every_point_is_seen_once_however_wide_pixels_are() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    for (source, distance) in [(mixed_points(20_000, 6.0, 8), 40.0), (sheet(9000), 2.0)] {
+        build_at(&path, Box::new(source), &BuildOptions::default());
+        add(&path, &path, &options()).expect("aggregates");
+        let (object, camera) = seen_from(&path, distance);
+        let integral = object.kernel.integral();
+        let all: f64 = points(&object.cloud).iter().map(|(_, _, w, axes)| w * axes.determinant().abs()).sum();
+        let mut most = 0;
+        for octave in -8..12 {
+            let factor = 2_f64.powf(f64::from(octave) * 0.7);
+            let far = Far::new(&object, 1.0, (&camera, 32, 32), factor).expect("a file").expect("aggregates");
+            let (gaussians, _) = far.counts();
+            most = most.max(gaussians);
+            assert!((far.mass() / (integral * all) - 1.0).abs() < 1e-4, "{factor}: {} of {all}", far.mass());
+            if octave == 11 {
+                assert!(gaussians < 10, "{gaussians} in one pixel");
+            }
+        }
+        assert!(most > 1000, "nothing but a few was seen");
+    }
+}
+
+#[test]
+fn opacities_from_aggregates_are_those_of_the_points_where_pixels_are_wide() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let workload: Workload = "sphere-20000".parse().expect("a workload");
+    let asked = BuildOptions { radius: workload.radius().map(Rule::Number), ..BuildOptions::default() };
+    build_at(&path, workload.source(), &asked);
+    add(&path, &path, &options()).expect("aggregates");
+    let (mut object, camera) = seen_from(&path, 20.0);
+    object.transfer.opacity = OpacityRule::Extinction(0.5);
+    let (size, parts) = (12, 16);
+    let scene = Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object.clone()) };
+    let fine = settings(size * parts, size * parts);
+    let picture = picture(&scene, &camera, &fine, &ExecSettings::default(), &paged(&scene, 1 << 30));
+    let picture = picture.expect("a picture");
+    let mut truth = vec![0.0; (size * size) as usize];
+    for (at, pixel) in (0..).zip(&picture) {
+        let (x, y) = (at % (size * parts) / parts, at / (size * parts) / parts);
+        truth[(y * size + x) as usize] += f64::from(pixel[3]) / f64::from(parts * parts);
+    }
+    let far = Far::new(&object, scene.unit_distance, (&camera, size, size), 1.0).expect("a file");
+    let far = far.expect("aggregates");
+    let seen = opacities(&far, (&camera, size, size));
+    // In the middle: the silhouette is a third of a pixel too large.
+    let is_inside = |at: &usize| (4..8).contains(&(at % 12)) && (4..8).contains(&(at / 12));
+    let inside: Vec<usize> = (0..truth.len()).filter(is_inside).collect();
+    let mean = |of: &dyn Fn(usize) -> f64| inside.iter().map(|&at| of(at)).sum::<f64>() / inside.len() as f64;
+    let (bias, error) = (mean(&|at| seen[at] - truth[at]), mean(&|at| (seen[at] - truth[at]).abs()));
+    assert!((0.4..0.8).contains(&mean(&|at| truth[at])), "{}", mean(&|at| truth[at]));
+    assert!(bias.abs() < 0.03 && error < 0.04, "bias {bias}, error {error}");
+    let (gaussians, points) = far.counts();
+    assert!(gaussians < 5000 && points == 0, "{gaussians} and {points}");
 }

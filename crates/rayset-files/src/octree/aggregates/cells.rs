@@ -1,6 +1,6 @@
 //! The cells of a leaf: its points are divided by the same curve as nodes are, down to cells of few
-//! points. A cell stands for those of its points whose radii are no larger than its edge: others are
-//! as large as a pixel where it is, and are seen themselves.
+//! points. A cell stands for those of its points whose radii are no larger than its edge: others
+//! are as large as a pixel where it is, and are seen themselves.
 
 use std::ops::Range;
 
@@ -13,8 +13,8 @@ use crate::octree::layout::RootCell;
 use rayset_base::geometry::DVec3;
 use rayset_base::geometry::curve::{MAX_LEVEL, hilbert};
 
-/// Cells are at most so many levels below their leaf. It bounds how many records there are of points
-/// in tight clumps, each of which would have one at every level.
+/// Cells are at most so many levels below their leaf. It bounds how many records there are of
+/// points in tight clumps, each of which would have one at every level.
 const MOST_LEVELS_BELOW: u32 = 6;
 
 /// Which children of a cell have records, and the number of the first among those of its level.

@@ -132,11 +132,11 @@ impl Width {
 pub struct DensityBins {
     /// Their width.
     pub width: Width,
-    /// The number of the first, of the highest densities: bin n is from 2^(n·w/2) to 2^((n + 1)·w/2), with
-    /// w half octaves.
+    /// The number of the first, of the highest densities: bin n is from 2^(n·w/2) to
+    /// 2^((n + 1)·w/2), with w half octaves.
     pub top: i16,
-    /// The square roots of the fractions of the mass whose densities lie in each, in parts of 255 of
-    /// the largest, from the highest densities down; the last bin also has what lies below it.
+    /// The square roots of the fractions of the mass whose densities lie in each, in parts of 255
+    /// of the largest, from the highest densities down; the last bin also has what lies below it.
     pub roots: [u8; BINS],
 }
 

@@ -17,10 +17,11 @@ mod cells;
 mod compare;
 mod density;
 mod error;
-mod header;
+pub mod header;
 mod histogram;
 mod moments;
 mod options;
+pub mod page;
 mod places;
 mod points;
 mod record;
@@ -37,10 +38,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use self::build::Maker;
 use self::compare::Comparison;
 pub use self::error::AggregateError;
-pub use self::header::{AggregateHeader, AggregatePage, LEVELS};
+pub use self::header::{AggregateHeader, LEVELS};
 pub use self::histogram::{BINS, DensityBins, Width};
 use self::moments::Carried;
 pub use self::options::AggregateOptions;
+pub use self::page::AggregatePage;
 pub use self::record::{AGGREGATE_BYTES, Aggregate};
 use self::records::{RecordMaker, RecordSink};
 use self::store::StoredRecords;
@@ -54,8 +56,8 @@ use rayset_store::storage::local::{BackendKind, backend};
 use rayset_store::storage::{FileStorage, Storage};
 use rayset_store::working_set::{Limits, WorkingSet};
 
-/// Writes the cloud of a file with aggregates to `output`, which may be the same file. Those that it
-/// has are made anew.
+/// Writes the cloud of a file with aggregates to `output`, which may be the same file. Those that
+/// it has are made anew.
 ///
 /// `progress` is called with the number of points done and that of all, from one thread at a time.
 ///

@@ -59,8 +59,8 @@ impl Moments {
         }
     }
 
-    /// Adds a point and the half octaves of the densities in it, as far as they are known; `variance`
-    /// is that of the kernel.
+    /// Adds a point and the half octaves of the densities in it, as far as they are known;
+    /// `variance` is that of the kernel.
     pub(super) fn add(&mut self, points: &Points, index: usize, half_octaves: &[Option<i32>], variance: f64) {
         let mass = points.mass(index);
         self.move_mean(points.position[index], mass, 1);

@@ -2,8 +2,8 @@
 //! transfer function, a direction and a pixel.
 //!
 //! Lengths, areas and extinctions are of one space. g is the extinction at a density. The constants
-//! are those of an experiment with clouds of all kinds against the truth by many rays; together they
-//! are a *closure*, which may be changed without files becoming others.
+//! are those of an experiment with clouds of all kinds against the truth by many rays; together
+//! they are a *closure*, which may be changed without files becoming others.
 
 use rayset_base::geometry::{DMat3, DVec3};
 use rayset_files::octree::aggregates::{Aggregate, BINS, DensityBins};
@@ -16,8 +16,8 @@ const GRAIN: f64 = 1.15;
 const MOST_DEPTH: f64 = 8.3;
 /// Between opacities that add up (1) and those that multiply (∞).
 const STACKING: f64 = 2.0;
-/// By how much flat aggregates are longer along rays that do not cross them at a right angle, so that
-/// closed sheets stay closed.
+/// By how much flat aggregates are longer along rays that do not cross them at a right angle, so
+/// that closed sheets stay closed.
 const STRETCH: f64 = 30.0;
 /// The largest opacity.
 const MOST_OPACITY: f64 = 1.0 - 1.0 / 4096.0;

@@ -2,10 +2,10 @@
 //! the light that is absorbed along each ray. It is the judge of level of detail, and slow.
 //!
 //! A node or a cell of edge e, where a pixel is ρ wide, stands for its points by the part
-//! S(log₂(ρ/e) + ½), with S the smoothstep; what is below it has the rest. So what has a part lies
-//! from 0.7 e to 1.4 e, and every point is seen once altogether. Which cells of a leaf stand for its
-//! points follows from the leaf's place: those of one level, and of the next. A point that is seen
-//! by itself is a density by S(log₂(r/ρ)), and a Gaussian like aggregates by the rest.
+//! S(log₂(ρ/e) + ½), with S the smoothstep; what is below it has the rest. So its part grows where
+//! ρ does from 0.7 e to 1.4 e, and every point is seen once altogether. Which cells of a leaf stand
+//! for its points follows from the leaf's place: those of one level, and of the next. A point that
+//! is seen by itself is a density by S(log₂(r/ρ)), and a Gaussian like aggregates by the rest.
 
 mod closure;
 
@@ -106,6 +106,14 @@ impl Far {
         (self.gaussians.len(), self.densities.len())
     }
 
+    /// What the density of all that is seen integrates to.
+    #[must_use]
+    pub fn mass(&self) -> f64 {
+        let integral = self.object.kernel.integral();
+        let of_gaussians: f64 = self.gaussians.iter().map(|(part, seen)| part * seen.mass).sum();
+        of_gaussians + self.densities.iter().map(|point| integral * point.mass()).sum::<f64>()
+    }
+
     fn g(&self) -> impl Fn(f64) -> f64 + '_ {
         |density| self.object.transfer.opacity.extinction(density, self.unit_distance)
     }
@@ -160,13 +168,12 @@ impl Far {
         let of_node = record.map(|number| self.file.records[number as usize]);
         let mut child_record = of_node.map_or(0, |record| record.first_child);
         let NodeRef { page, index } = node.first_child;
-        let mut at = usize::from(index);
-        for rank in (0..8).filter(|rank| node.child_mask >> rank & 1 == 1) {
+        let ranks = (0..8).filter(|rank| node.child_mask >> rank & 1 == 1);
+        for (at, rank) in (usize::from(index)..).zip(ranks) {
             let child = self.file.nodes[page as usize][at];
             let has_record = of_node.is_some_and(|record| record.child_mask >> rank & 1 == 1);
             self.node(&child, has_record.then_some(child_record), below, of_mass);
             child_record += u32::from(has_record);
-            at += 1;
         }
     }
 
@@ -290,8 +297,8 @@ struct Chord {
     /// Distances along the ray.
     from: f64,
     to: f64,
-    /// Where the ray is nearest to the middle, how its exponent grows from there, and its share for a
-    /// unit of volume there.
+    /// Where the ray is nearest to the middle, how its exponent grows from there, and its share for
+    /// a unit of volume there.
     nearest: f64,
     growth: f64,
     share: f64,
