@@ -294,7 +294,7 @@ fn bytes_depend_on_neither_threads_nor_memory_and_points_keep_theirs() {
 fn where_very_many_points_lie_in_one_place_it_takes_little_time() {
     let folder = folder();
     let path = folder.path().join("c.rset");
-    let places = (0..40_000).map(|i| if i % 4 == 0 { [1.0; 3] } else { [f64::from(i) * 1e-9, 0.0, 0.0] });
+    let places = (0..120_000).map(|i| if i % 12 == 0 { [1.0; 3] } else { [f64::from(i) * 1e-9, 0.0, 0.0] });
     let source = ArraySource::new(places.collect(), Vec::new());
     let asked = BuildOptions { radius: Some(Rule::Number(0.5)), ..BuildOptions::default() };
     build_at(&path, Box::new(source), &asked);

@@ -17,6 +17,7 @@ use super::places::{PLACES, UnitPlaces};
 use super::points::{Decoder, Points};
 use super::records::{RecordMaker, RecordSink, RecordsByLevel, move_children};
 use crate::octree::file::Cloud;
+use crate::octree::layout::RUN_POINTS;
 use crate::octree::node::Node;
 use crate::octree::pipeline::ordered;
 use crate::octree::walk::{Visit, Visitor, Walk};
@@ -29,6 +30,9 @@ const TOGETHER: usize = 4096;
 /// If very many points reach a place, so many points of a leaf that follow each other are taken to
 /// lie in one density.
 const ALIKE_POINTS: usize = 16;
+/// Of no more own points of a node than this all are measured.
+const MOST_ALL_MEASURED: u64 = 16_384;
+
 /// What is asked for, and whom to ask.
 pub(super) struct Maker<'a> {
     pub(super) cloud: &'a Cloud,
@@ -100,8 +104,9 @@ impl Maker<'_> {
             below: RecordsByLevel::default(),
         };
         let mut points = Points::default();
+        let mut measured = Measured::of(node);
         let mut own = |points: &mut Points| -> Result<(), AggregateError> {
-            let half_octaves = self.half_octaves(&field, &unit, points, node.child_mask == 0)?;
+            let half_octaves = measured.half_octaves(&field, &unit, points)?;
             let densities = masses(points, &half_octaves);
             let own = OwnPoints {
                 points,
@@ -134,21 +139,53 @@ impl Maker<'_> {
         }
         Ok(all)
     }
+}
 
-    /// The half octaves of the densities at the places in points.
+/// The points of a node in which densities are measured: all, or one in so many if the node has very
+/// many of its own, so that the work does not grow as their square.
+struct Measured {
+    every: usize,
+    /// How many points were passed, and what was found in the last that was measured.
+    passed: usize,
+    last: [Option<i32>; PLACES],
+    /// Of how many places one is measured, if very many points reach them.
+    alike: usize,
+}
+
+impl Measured {
+    fn of(node: &Node) -> Self {
+        let most = u64::from(node.own.runs).saturating_mul(RUN_POINTS as u64);
+        let times = usize::try_from(most / MOST_ALL_MEASURED).unwrap_or(usize::MAX).max(1);
+        let alike = if node.child_mask == 0 { PLACES * ALIKE_POINTS } else { PLACES };
+        Self { every: times.saturating_mul(times), passed: 0, last: [None; PLACES], alike }
+    }
+
+    /// The half octaves of the densities at the places in the next points; of those that are not
+    /// measured, as in the one before them.
     fn half_octaves(
-        &self,
+        &mut self,
         field: &Field<'_>,
         unit: &UnitPlaces,
         points: &Points,
-        is_leaf: bool,
     ) -> Result<Vec<Option<i32>>, AggregateError> {
+        let is_measured = |index: usize| (self.passed + index).is_multiple_of(self.every);
         let mut places = Vec::with_capacity(PLACES * points.len());
-        (0..points.len()).for_each(|index| unit.append(points, index, &mut places));
+        let chosen = (0..points.len()).filter(|&index| is_measured(index));
+        chosen.for_each(|index| unit.append(points, index, &mut places));
         let mut densities = vec![0.0; places.len()];
-        let alike = if is_leaf { PLACES * ALIKE_POINTS } else { PLACES };
-        field.densities(&places, alike, &mut densities)?;
-        Ok(densities.into_iter().map(half_octave).collect())
+        field.densities(&places, self.alike, &mut densities)?;
+        let mut found = densities.chunks_exact(PLACES);
+        let mut half_octaves = Vec::with_capacity(PLACES * points.len());
+        for index in 0..points.len() {
+            if is_measured(index)
+                && let Some(densities) = found.next()
+            {
+                self.last = std::array::from_fn(|place| half_octave(densities[place]));
+            }
+            half_octaves.extend(self.last);
+        }
+        self.passed += points.len();
+        Ok(half_octaves)
     }
 }
 
