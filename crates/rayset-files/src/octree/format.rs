@@ -365,6 +365,9 @@ impl Header {
         let Some(pages) = file.header().section(SectionKind::AGGREGATES).copied() else { return Ok(None) };
         let bytes = file.section(SectionKind::AGGREGATE_HEADER)?;
         let wrong = |what| file.wrong_section(SectionKind::AGGREGATE_HEADER, what);
+        if self.points == 0 {
+            return Err(wrong("aggregates of no points"));
+        }
         let first_page = self.point_pages + self.node_pages;
         if first_page.checked_add(pages.pages).is_none() || pages.offset != self.page_offset(first_page) {
             return Err(wrong("the pages of aggregates do not follow those of nodes"));

@@ -260,8 +260,8 @@ impl Session {
         let client = self.0.pages.client(&CancelToken::new());
         let mut pinned = self.0.pinned();
         if !pinned.iter().any(|(known, _)| Arc::ptr_eq(known, cloud.stored())) {
-            // Children are written before their parents: the root is in the last page.
-            let last = header.pages();
+            // Children are written before their parents: the root is in the last page of nodes.
+            let last = header.point_pages + header.node_pages;
             let guards = (last - wanted..last).rev().map(|page| client.retain(&object, page));
             pinned.push((cloud.stored().clone(), guards.collect::<Result<_, _>>()?));
         }

@@ -197,6 +197,10 @@ fn a_sheet_of_discs_is_flat_and_has_the_means_of_colours_and_attributes() {
         }
         assert!(color.expect("a colour")[2].abs_diff(128) <= 1);
         assert!((f64::from(attributes[0]) - y).abs() < 1e-4, "{attributes:?} at {y}");
+        if x.abs() > aggregate.deviations[0] && y.abs() > aggregate.deviations[0] {
+            let class = f32::from(u8::from(x > 0.0) + 2 * u8::from(y > 0.0));
+            assert!(attributes[1] == class, "{attributes:?} at {x}, {y}");
+        }
     }
 }
 
@@ -260,6 +264,32 @@ fn records_are_a_tree_of_all_cells_with_many_points() {
     let mass: f64 = points(&cloud).iter().map(|(_, r, w, _)| w * r.powi(3)).sum();
     assert!((records[0].aggregate.mass / mass - 1.0).abs() < 2e-5);
     cloud.verify(Depth::Deep).expect("it is whole");
+}
+
+/// Positions are rounded, some into the next cell: no other point may move with them.
+#[test]
+fn points_of_a_cell_lie_in_it_in_all_leaves_of_a_cloud() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let mut random = Random(4);
+    let places = (0..60_000).map(|_| [0; 3].map(|_| 100.0 * random.unit()));
+    let source = ArraySource::new(places.collect(), Vec::new());
+    let asked = BuildOptions { radius: Some(Rule::Number(3.0)), ..BuildOptions::default() };
+    let cloud = build_at(&path, Box::new(source), &asked);
+    assert!(cloud.header().nodes > 8);
+    add(&path, &path, &options()).expect("aggregates");
+    let cloud = Cloud::open(&path).expect("it opens");
+    let records = records(&cloud);
+    let mut seen = vec![0; records.len()];
+    for record in &records {
+        let edge = cloud.header().root_size * 0.5_f64.powi(record.level.into());
+        // A uniform cube of this edge has a deviation of 0.29 edges, and a point adds to it.
+        let most = (edge * edge / 4.0 + Kernel::Wyvill.variance() * 9.0).sqrt();
+        assert!(record.aggregate.deviations[0] < 1.1 * most, "{:?} of {edge}", record.aggregate);
+        let Aggregate { child_mask, first_child, .. } = record.aggregate;
+        (0..child_mask.count_ones()).for_each(|child| seen[(first_child + child) as usize] += 1);
+    }
+    assert!(seen[1..].iter().all(|&times| times == 1), "a record with no parent, or two");
 }
 
 #[test]
@@ -347,7 +377,10 @@ fn damage_under_right_checksums_is_an_error_that_says_what() {
     for (at, with, said) in [
         (0, vec![49, 0, 0, 0], "as long as"),
         (8, vec![9, 0, 0, 0], "unknown kernel"),
+        (4, vec![3, 0, 0, 0], "fewer than four"),
+        (12, vec![2, 0, 0, 0], "unknown kind"),
         (16, vec![1, 0, 0, 0], "follow each other"),
+        (20, vec![0, 0, 0, 0], "follow each other"),
         (16 + 4 * 21, vec![0xff; 4], "as many as"),
     ] {
         let message = changed(&put(section.offset as usize + at, with), Depth::Pages).expect_err("noticed");
@@ -376,6 +409,20 @@ fn points_that_have_none_are_refused_by_name() {
     build_at(&path, Box::new(mixed_points(17, 1.0, 1)), &BuildOptions::default());
     assert!(refused(&options().with_kernel(Kernel::Splat)).contains("splats"));
     assert_eq!(add(&path, &other, &options()).expect("one aggregate").records(), 1);
+    std::fs::remove_file(&other).expect("it goes");
+    // In place, too, nothing is replaced.
+    let weightless = ArraySource::new((0..100).map(|i| [f64::from(i), 0.0, 0.0]).collect(), Vec::new());
+    let asked = BuildOptions {
+        radius: Some(Rule::Number(1.0)),
+        weight: Some(Rule::Number(0.0)),
+        ..BuildOptions::default()
+    };
+    build_at(&path, Box::new(weightless), &asked);
+    let before = std::fs::read(&path).expect("a read");
+    assert!(refused(&options()).contains("without weight"));
+    assert!(add(&path, &path, &options()).is_err());
+    assert!(std::fs::read(&path).expect("a read") == before, "the file is another");
+    build_at(&path, Box::new(mixed_points(17, 1.0, 1)), &BuildOptions::default());
     let token = CancelToken::new();
     token.cancel();
     let cancelled = add_to_file(&path, &path, &options(), &|_, _| {}, &token);

@@ -127,7 +127,7 @@ fn an_unknown_section_is_ignored_but_for_its_checksum() {
     bytes.extend_from_slice(b"what a later program adds");
     bytes.resize(at + 4096, 0);
     bytes.extend_from_slice(&footer);
-    let (kind, last) = (SectionKind(*b"AGGR"), header.sections[0]);
+    let (kind, last) = (SectionKind(*b"LATE"), header.sections[0]);
     header.sections.push(rayset::container::Section { kind, pages: 0, offset: at as u64, bytes: 25, ..last });
     header.file_bytes += 4096;
     bytes[..4096].copy_from_slice(&header.encode());

@@ -30,8 +30,12 @@ const TOGETHER: usize = 4096;
 /// If very many points reach a place, so many points of a leaf that follow each other are taken to
 /// lie in one density.
 const ALIKE_POINTS: usize = 16;
-/// Of no more own points of a node than this all are measured.
+/// If a node's own runs have room for no more points than this, all are measured.
 const MOST_ALL_MEASURED: u64 = 16_384;
+/// Of more, so few that, if all reach each other, there are no more pairs of those that are
+/// measured and others; but no fewer than a few.
+const MOST_PAIRS: u64 = 1 << 24;
+const LEAST_MEASURED: u64 = 64;
 
 /// What is asked for, and whom to ask.
 pub(super) struct Maker<'a> {
@@ -46,6 +50,7 @@ pub(super) struct Maker<'a> {
 
 /// What was found of a node's own points, of a leaf with its cells.
 struct Own {
+    points: u64,
     moments: Moments,
     children: Children,
     below: RecordsByLevel,
@@ -99,6 +104,7 @@ impl Maker<'_> {
         // Those that are not divided any more may have any number of points.
         let divides = node.child_mask == 0 && node.points <= TOGETHER as u64;
         let mut all = Own {
+            points: 0,
             moments: Moments::none(&self.records.carried),
             children: Children::default(),
             below: RecordsByLevel::default(),
@@ -124,6 +130,7 @@ impl Maker<'_> {
                 own.whole(node.level.into())
             };
             all.moments.merge(&moments);
+            all.points += points.len() as u64;
             points.clear();
             Ok(())
         };
@@ -141,8 +148,8 @@ impl Maker<'_> {
     }
 }
 
-/// The points of a node in which densities are measured: all, or one in so many if the node has very
-/// many of its own, so that the work does not grow as their square.
+/// The points of a node in which densities are measured: all, or one in so many if the node has
+/// very many of its own, so that the work does not grow as their square.
 struct Measured {
     every: usize,
     /// How many points were passed, and what was found in the last that was measured.
@@ -155,9 +162,14 @@ struct Measured {
 impl Measured {
     fn of(node: &Node) -> Self {
         let most = u64::from(node.own.runs).saturating_mul(RUN_POINTS as u64);
-        let times = usize::try_from(most / MOST_ALL_MEASURED).unwrap_or(usize::MAX).max(1);
-        let alike = if node.child_mask == 0 { PLACES * ALIKE_POINTS } else { PLACES };
-        Self { every: times.saturating_mul(times), passed: 0, last: [None; PLACES], alike }
+        let every = if most <= MOST_ALL_MEASURED {
+            1
+        } else {
+            (most.saturating_mul(most) / MOST_PAIRS).clamp(1, most / LEAST_MEASURED)
+        };
+        let alike = if node.child_mask == 0 && every == 1 { PLACES * ALIKE_POINTS } else { PLACES };
+        let every = usize::try_from(every).unwrap_or(usize::MAX);
+        Self { every, passed: 0, last: [None; PLACES], alike }
     }
 
     /// The half octaves of the densities at the places in the next points; of those that are not
@@ -258,7 +270,7 @@ impl Tree<'_> {
         while self.open.last().is_some_and(|open| open.node.level >= node.level) {
             self.close()?;
         }
-        let Own { moments, children, below } = own;
+        let Own { points, moments, children, below } = own;
         let mut first_child = 0;
         let record_bytes = self.maker.records.record_bytes();
         for (depth, mut records) in below.levels.into_iter().enumerate() {
@@ -271,7 +283,7 @@ impl Tree<'_> {
                 first_child = first;
             }
         }
-        (self.maker.progress)(moments.points);
+        (self.maker.progress)(points);
         let (siblings, child_mask) = (Vec::new(), children.mask);
         self.open.push(OpenNode { node, moments, siblings, child_mask, first_child, children: 0 });
         Ok(())

@@ -49,7 +49,7 @@ impl OwnPoints<'_> {
     /// The same of a leaf, and the records of its cells.
     pub(super) fn divide(&self, level: u32) -> (Moments, Children, RecordsByLevel) {
         let mut records = RecordsByLevel::default();
-        let codes = codes(&self.points.position, self.maker.root);
+        let codes = codes(&self.points.position, self.maker.root, level);
         let (moments, children) = self.cell(&codes, 0..codes.len(), (level, level), &mut records);
         (moments, children, records)
     }
@@ -106,15 +106,109 @@ impl OwnPoints<'_> {
     }
 }
 
-/// The places of points along the curve. What is stored of a position may lie in another cell than
-/// the position did, so that none is before that of the point before it.
-fn codes(positions: &[DVec3], root: RootCell) -> Vec<u64> {
+/// The places along the curve of the points of a leaf, whose level is given, none before that of
+/// the point before it. What is stored of a position may lie a little outside the cell that the
+/// position was in: outside the leaf it counts as at its border, and where it is out of order, as
+/// the point before it.
+fn codes(positions: &[DVec3], root: RootCell, level: u32) -> Vec<u64> {
     let cells = f64::from(1_u32 << MAX_LEVEL);
-    let mut last = 0;
-    let code = |position: &DVec3| {
-        let place = (*position - root.min) * (cells / root.size);
-        last = hilbert(place.to_array().map(|v| v.clamp(0.0, cells - 1.0) as u32)).max(last);
-        last
+    let places: Vec<[u32; 3]> = positions
+        .iter()
+        .map(|position| {
+            let place = (*position - root.min) * (cells / root.size);
+            place.to_array().map(|v| v.clamp(0.0, cells - 1.0) as u32)
+        })
+        .collect();
+    let shift = MAX_LEVEL - level;
+    let leaf = majority(places.iter().map(|place| place.map(|v| v >> shift)));
+    let codes: Vec<u64> = places
+        .iter()
+        .map(|place| {
+            let within = std::array::from_fn(|axis| {
+                let first = leaf[axis] << shift;
+                place[axis].clamp(first, first + ((1 << shift) - 1))
+            });
+            hilbert(within)
+        })
+        .collect();
+    in_order(codes)
+}
+
+/// The value that more than half of all are, or some value (Boyer, Moore 1981).
+fn majority(values: impl Iterator<Item = [u32; 3]>) -> [u32; 3] {
+    let vote = |(value, votes): ([u32; 3], u32), next: [u32; 3]| match votes {
+        0 => (next, 1),
+        _ if next == value => (value, votes + 1),
+        _ => (value, votes - 1),
     };
-    positions.iter().map(code).collect()
+    values.fold(([0; 3], 0), vote).0
+}
+
+/// Numbers of which as many as may be stay (the longest ascending subsequence, by Fredman 1975).
+/// Each other becomes the one before it.
+fn in_order(mut numbers: Vec<u64>) -> Vec<u64> {
+    if numbers.is_sorted() {
+        return numbers;
+    }
+    // For each length, where the subsequence ends whose last number is least; and for each number,
+    // what comes before it.
+    let mut ends: Vec<usize> = Vec::new();
+    let mut before = vec![usize::MAX; numbers.len()];
+    for at in 0..numbers.len() {
+        let length = ends.partition_point(|&end| numbers[end] <= numbers[at]);
+        if length > 0 {
+            before[at] = ends[length - 1];
+        }
+        if length == ends.len() {
+            ends.push(at);
+        } else {
+            ends[length] = at;
+        }
+    }
+    let mut stays = vec![false; numbers.len()];
+    let mut at = ends.last().copied().unwrap_or(usize::MAX);
+    while at != usize::MAX {
+        stays[at] = true;
+        at = before[at];
+    }
+    let mut last = stays.iter().position(|&stays| stays).map_or(0, |first| numbers[first]);
+    for (number, stays) in numbers.iter_mut().zip(stays) {
+        if stays {
+            last = *number;
+        }
+        *number = last;
+    }
+    numbers
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_few_numbers_out_of_order_move_no_others(
+            mut numbers in prop::collection::vec(0..1000_u64, 1..60),
+            outliers in prop::collection::vec((any::<prop::sample::Index>(), any::<u64>()), 0..4),
+        ) {
+            numbers.sort_unstable();
+            let mut mixed = numbers.clone();
+            outliers.iter().for_each(|(at, value)| mixed[at.index(numbers.len())] = *value);
+            let ordered = in_order(mixed.clone());
+            prop_assert!(ordered.is_sorted());
+            let moved = ordered.iter().zip(&mixed).filter(|(a, b)| a != b).count();
+            prop_assert!(moved <= outliers.len(), "{mixed:?} became {ordered:?}");
+        }
+    }
+
+    #[test]
+    fn points_beside_their_leaf_are_at_its_border() {
+        let root = RootCell { min: DVec3::ZERO, size: 8.0 };
+        // A leaf of the level 3 from 1 to 2; one point is rounded below it.
+        let positions = [1.1, 1.2, 0.999_999, 1.3].map(|x| DVec3::new(x, 1.5, 1.5));
+        let codes = codes(&positions, root, 3);
+        assert!(codes.is_sorted());
+        assert!(codes.iter().all(|code| code >> (3 * 17) == codes[0] >> (3 * 17)), "in other leaves");
+    }
 }

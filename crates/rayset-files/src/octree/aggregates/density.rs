@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use super::error::AggregateError;
+use super::places::PLACES;
 use super::points::{Decoder, Points};
 use crate::octree::file::Cloud;
 use crate::octree::format::Header;
@@ -114,7 +115,8 @@ impl Field<'_> {
             return Ok(());
         }
         if places.len() > FEWEST_PLACES {
-            let half = places.len() / 2;
+            // Places of a point stay together.
+            let half = (places.len() / 2).next_multiple_of(PLACES);
             let (before, behind) = out.split_at_mut(half);
             self.densities(&places[..half], alike, before)?;
             return self.densities(&places[half..], alike, behind);
@@ -351,7 +353,9 @@ impl Near {
 
     /// Divides the box into cells of about an edge, and counts the points that may reach each.
     fn divide(&mut self, size: DVec3, edge: f64) {
-        self.cells = size.to_array().map(|length| ((length / edge) as usize + 1).min(MOST_CELLS as usize));
+        self.cells = size
+            .to_array()
+            .map(|length| ((length / edge) as usize).saturating_add(1).min(MOST_CELLS as usize));
         self.per_unit = DVec3::from_array(std::array::from_fn(|axis| match size[axis] > 0.0 {
             true => self.cells[axis] as f64 / size[axis],
             false => 0.0,

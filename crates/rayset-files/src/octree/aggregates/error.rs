@@ -58,6 +58,9 @@ pub enum AggregateError {
         /// The level of its cell.
         level: u8,
     },
+    /// The hash of a file's aggregates is another than it says.
+    #[error("the hash of the aggregates is not the one that the file says")]
+    Hash,
     /// It was cancelled.
     #[error("cancelled")]
     Cancelled,

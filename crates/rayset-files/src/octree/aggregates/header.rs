@@ -9,6 +9,8 @@ use rayset_store::container::{PAGE_HEAD_BYTES, Reader, Writer};
 pub const LEVELS: usize = DEEPEST_LEVEL as usize + 1;
 
 const NORMALISED: u32 = 1;
+/// The least number of points that may be few.
+pub(super) const LEAST_FEW: u32 = 4;
 
 /// What a file says of its aggregates. Records are ordered by level, and in a level as the points
 /// are.
@@ -92,7 +94,10 @@ impl AggregateHeader {
         if record_bytes as usize != expected {
             return Err("the records of aggregates are not as long as those of such points");
         }
-        if first_of_level[0] != 0 || !first_of_level.is_sorted() || first_of_level[1] > 1 {
+        if flags & !NORMALISED != 0 || few_points < LEAST_FEW {
+            return Err("aggregates of an unknown kind, or of cells of fewer than four points");
+        }
+        if first_of_level[..2] != [0, 1] || !first_of_level.is_sorted() {
             return Err("the numbers of aggregates by level do not follow each other");
         }
         let normalised = flags & NORMALISED != 0;

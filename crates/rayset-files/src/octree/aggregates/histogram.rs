@@ -67,7 +67,7 @@ impl Masses {
     /// The bins of a record; `None` if there is no mass.
     pub(super) fn bins(&self) -> Option<DensityBins> {
         let total: f64 = self.masses.iter().sum();
-        if !(total > 0.0) {
+        if !(total > 0.0 && total.is_finite()) {
             return None;
         }
         Width::ALL.into_iter().find_map(|width| {

@@ -38,6 +38,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use self::build::Maker;
 use self::compare::Comparison;
 pub use self::error::AggregateError;
+use self::header::LEAST_FEW;
 pub use self::header::{AggregateHeader, LEVELS};
 pub use self::histogram::{BINS, DensityBins, Width};
 use self::moments::Carried;
@@ -81,6 +82,9 @@ pub fn add_to_file(
     };
     let mut records = StoredRecords::new(record_bytes(&cloud), spill)?;
     make(&cloud, options, progress, cancel, &mut records)?;
+    if records.is_empty() {
+        return Err(nothing(&cloud));
+    }
     let mut buffer = BufWriter::with_capacity(1 << 20, file.writer());
     write::write(&cloud, &records, options, cancel, &mut buffer)?;
     let failed = |source| AggregateError::Io { action: "write", path: Some(output.to_owned()), source };
@@ -148,7 +152,13 @@ fn make(
 /// checked; returns their number.
 pub(super) fn compare(cloud: &Cloud) -> Result<u32, AggregateError> {
     let Some(known) = &cloud.header().aggregates else { return Ok(0) };
-    let options = AggregateOptions::default()
+    let header = cloud.header();
+    let defaults = AggregateOptions::default();
+    let least =
+        AggregateOptions::least_bytes(header.page_bytes.into()) + WorkingSet::overhead_bytes(header.pages());
+    let memory = defaults.memory_bytes.max(least);
+    let options = defaults
+        .with_memory_bytes(memory)
         .with_kernel(known.kernel)
         .with_normalised(known.normalised)
         .with_few_points(known.few_points);
@@ -170,6 +180,9 @@ fn check(cloud: &Cloud, options: &AggregateOptions) -> Result<(), AggregateError
         return unsupported(
             "there are no aggregates of points with negative weights; they are rendered point by point",
         );
+    }
+    if options.few_points < LEAST_FEW {
+        return unsupported("cells of fewer than four points need no aggregates");
     }
     if header.points <= u64::from(options.few_points) {
         return Err(nothing(cloud));

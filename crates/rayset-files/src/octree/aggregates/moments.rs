@@ -37,8 +37,8 @@ pub(super) struct Moments {
 /// An attribute of a cell.
 #[derive(Clone, Debug)]
 enum Value {
-    /// The sum, by mass.
-    Sum(f64),
+    /// The sum, by mass, and the mass of those points that have a value.
+    Sum(f64, f64),
     /// Masses by class, in ascending order of the class.
     Classes(Vec<(f32, f64)>),
 }
@@ -46,7 +46,8 @@ enum Value {
 impl Moments {
     /// Those of no points.
     pub(super) fn none(carried: &Carried) -> Self {
-        let value = |&is_class: &bool| if is_class { Value::Classes(Vec::new()) } else { Value::Sum(0.0) };
+        let value =
+            |&is_class: &bool| if is_class { Value::Classes(Vec::new()) } else { Value::Sum(0.0, 0.0) };
         Self {
             points: 0,
             mass: 0.0,
@@ -112,6 +113,9 @@ impl Moments {
     /// The record, without its places; the densities of `above` are for cells of which none are
     /// known. `None` if there is no mass, or nothing is known of its densities.
     pub(super) fn aggregate(&self, above: &Masses) -> Option<Aggregate> {
+        if !(self.mass > 0.0) {
+            return None;
+        }
         let densities = if self.densities.is_empty() { above.bins() } else { self.densities.bins() }?;
         let (variances, axes) = eigenvectors(&(self.spread * (1.0 / self.mass)));
         Some(Aggregate {
@@ -136,8 +140,8 @@ impl Moments {
     /// The attributes: means, and of classes those of the largest mass.
     pub(super) fn attributes(&self) -> impl Iterator<Item = f32> + '_ {
         self.attributes.iter().map(|value| match value {
-            Value::Sum(sum) if self.mass > 0.0 => (sum / self.mass) as f32,
-            Value::Sum(_) => 0.0,
+            Value::Sum(sum, mass) if *mass > 0.0 => (sum / mass) as f32,
+            Value::Sum(..) => 0.0,
             Value::Classes(classes) => {
                 let largest = classes.iter().reduce(|a, b| if b.1 > a.1 { b } else { a });
                 largest.map_or(0.0, |(class, _)| *class)
@@ -149,22 +153,27 @@ impl Moments {
 impl Value {
     fn add(&mut self, value: f32, mass: f64) {
         match self {
-            Self::Sum(sum) if value.is_finite() => *sum += mass * f64::from(value),
-            Self::Sum(_) => {}
-            Self::Classes(classes) => add_class(classes, value, mass),
+            Self::Sum(sum, of) if value.is_finite() => {
+                *sum += mass * f64::from(value);
+                *of += mass;
+            }
+            Self::Sum(..) => {}
+            Self::Classes(classes) => {
+                add_class(classes, value, mass);
+                keep_largest(classes, 2 * MOST_CLASSES);
+            }
         }
     }
 
     fn merge(&mut self, other: &Self) {
         match (self, other) {
-            (Self::Sum(sum), Self::Sum(other)) => *sum += other,
+            (Self::Sum(sum, of), Self::Sum(other, mass)) => {
+                *sum += other;
+                *of += mass;
+            }
             (Self::Classes(classes), Self::Classes(others)) => {
                 others.iter().for_each(|&(class, mass)| add_class(classes, class, mass));
-                while classes.len() > MOST_CLASSES {
-                    let least = (1..classes.len())
-                        .fold(0, |least, i| if classes[i].1 < classes[least].1 { i } else { least });
-                    classes.remove(least);
-                }
+                keep_largest(classes, MOST_CLASSES);
             }
             _ => {}
         }
@@ -175,5 +184,13 @@ fn add_class(classes: &mut Vec<(f32, f64)>, class: f32, mass: f64) {
     match classes.binary_search_by(|(known, _)| known.total_cmp(&class)) {
         Ok(at) => classes[at].1 += mass,
         Err(at) => classes.insert(at, (class, mass)),
+    }
+}
+
+/// Leaves those classes out that have the least mass, if there are more than so many.
+fn keep_largest(classes: &mut Vec<(f32, f64)>, most: usize) {
+    while classes.len() > most {
+        let less = |least: usize, i: usize| if classes[i].1 < classes[least].1 { i } else { least };
+        classes.remove((1..classes.len()).fold(0, less));
     }
 }

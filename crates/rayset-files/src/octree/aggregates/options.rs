@@ -12,6 +12,9 @@ const THREAD_BYTES: u64 = 12 << 20;
 /// What records take before they are stored, and pages that are used again and again.
 const FIXED_BYTES: u64 = 8 << 20;
 
+/// More threads are not started.
+const MOST_THREADS: usize = 4096;
+
 /// How aggregates are made. The bytes of a file follow from `kernel`, `normalised` and `few_points`
 /// alone.
 #[derive(Clone, Debug)]
@@ -77,7 +80,7 @@ impl AggregateOptions {
     /// for one.
     pub(super) fn shares(&self, page_bytes: u64, overhead: u64) -> Option<Shares> {
         let left = self.memory_bytes.checked_sub(FIXED_BYTES + overhead)?;
-        (1..=self.threads.max(1) as u64).rev().find_map(|threads| {
+        (1..=self.threads.clamp(1, MOST_THREADS) as u64).rev().find_map(|threads| {
             let pages_bytes = left.checked_sub(threads * THREAD_BYTES)?;
             (pages_bytes >= Self::least_pages(threads, page_bytes))
                 .then_some(Shares { threads: threads as usize, pages_bytes })

@@ -36,6 +36,9 @@ impl<'a> AggregatePage<'a> {
             return wrong("not as many aggregates as belong to the page");
         }
         let this = Self::trusted(bytes, header, of);
+        // No two records of a page have the same children. Those of two pages may: who walks has to
+        // count.
+        let mut next_child = 0;
         for index in 0..this.len {
             let number = first + index as u32;
             let level = usize::from(of.level_of(number));
@@ -45,8 +48,11 @@ impl<'a> AggregatePage<'a> {
             let end = u64::from(record.first_child) + u64::from(record.child_mask.count_ones());
             let below = &of.first_of_level[level + 1..];
             let is_below = below.len() > 1 && record.first_child >= below[0] && end <= u64::from(below[1]);
-            if record.child_mask != 0 && !is_below {
+            if record.child_mask != 0 && !(is_below && record.first_child >= next_child) {
                 return wrong("an aggregate whose children are not one level below");
+            }
+            if record.child_mask != 0 {
+                next_child = end as u32;
             }
         }
         Ok(this)

@@ -52,6 +52,11 @@ impl StoredRecords {
         Ok(Self { levels: levels?, record_bytes })
     }
 
+    /// Whether there are no records.
+    pub(super) fn is_empty(&self) -> bool {
+        (0..LEVELS).all(|level| self.count(level) == 0)
+    }
+
     /// Number of records of a level.
     pub(super) fn count(&self, level: usize) -> u64 {
         self.levels

@@ -132,14 +132,18 @@ impl Lookahead<'_> {
     /// octree page by page would take a round trip for each level.
     fn bring_nodes(&self, found: &mut Found) {
         let (foresight, program) = (&self.world.foresight, &self.world.program);
-        let clouds = foresight.clouds(program).map(|(cloud, file, _)| (file, cloud.first_node_page));
-        let grids = foresight.grids(program).map(|(grid, file, _)| (file, grid.first_ranges_page()));
-        for (file, first) in clouds.chain(grids) {
+        let clouds = foresight.clouds(program).map(|(cloud, file, _)| {
+            let first = cloud.first_node_page;
+            (file, first, first + cloud.header().node_pages)
+        });
+        let grids =
+            foresight.grids(program).map(|(grid, file, _)| (file, grid.first_ranges_page(), u32::MAX));
+        for (file, first, end) in clouds.chain(grids) {
             let Some(object) = self.object(file).filter(|object| foresight.policy.asks_together(object))
             else {
                 continue;
             };
-            let nodes: Vec<u32> = (first..object.pages()).rev().collect();
+            let nodes: Vec<u32> = (first..end.min(object.pages())).rev().collect();
             let most = self.pages.share_bytes() / NODES;
             let is_known = found.nodes_to_let_go.iter().any(|page| page.file == file);
             if !is_known && nodes.len() as u64 * self.state.page_bytes <= most {

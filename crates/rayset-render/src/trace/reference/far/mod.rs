@@ -28,6 +28,8 @@ use rayset_store::working_set::Kind;
 const DEVIATIONS: f64 = 3.2;
 /// Distance between samples, in pixels.
 const STEP: f64 = 0.17;
+/// The same, at least, in parts of the way.
+const LEAST_STEP: f64 = 1e-5;
 /// Least part that is not left out.
 const LEAST_PART: f64 = 1e-6;
 
@@ -157,13 +159,27 @@ impl Far {
             below = part * (1.0 - own);
             pixel = Some(here);
         }
+        let own = self.file.own_points(node);
+        // A node does not stand for those that are larger.
+        let edge = self.edge(node.level.into());
+        let larger = |far: &Self, index: usize| record.is_some() && far.file.points[index].radius > edge;
+        for index in own.clone() {
+            if larger(self, index) {
+                self.point(index, part, of_mass);
+            }
+        }
         if below <= LEAST_PART {
             return;
         }
-        let own = self.file.own_points(node);
         match (node.child_mask, record, pixel) {
             (0, Some(number), Some(pixel)) => self.leaf((node, number), own, (below, pixel), of_mass),
-            _ => own.for_each(|index| self.point(index, below, of_mass)),
+            _ => {
+                for index in own {
+                    if !larger(self, index) {
+                        self.point(index, below, of_mass);
+                    }
+                }
+            }
         }
         let of_node = record.map(|number| self.file.records[number as usize]);
         let mut child_record = of_node.map_or(0, |record| record.first_child);
@@ -213,7 +229,9 @@ impl Far {
             }
         }
         for (at, index) in own.enumerate() {
-            self.point(index, parts[at], of_masses[at]);
+            if self.file.points[index].radius <= self.edge(node.level.into()) {
+                self.point(index, parts[at], of_masses[at]);
+            }
         }
     }
 
@@ -258,7 +276,7 @@ impl Far {
             let place = ray.origin + ray.direction * at;
             let least =
                 points.iter().map(|point| point.radius * point.shape.ratios[1]).fold(f64::INFINITY, f64::min);
-            let step = (STEP * self.sight.pixel_at(place)).min(0.25 * least);
+            let step = (STEP * self.sight.pixel_at(place)).min(0.25 * least).max(LEAST_STEP * (to - from));
             depth += self.extinction(at + 0.5 * step, ray, &near, &points) * step;
             at += step;
         }
