@@ -191,6 +191,6 @@ fn check(cloud: &Cloud, options: &AggregateOptions) -> Result<(), AggregateError
 }
 
 fn nothing(cloud: &Cloud) -> AggregateError {
-    let what = "so few points, or points without weight, need no aggregates";
+    let what = "so few points, points without weight, or points larger than their cloud need no aggregates";
     AggregateError::Unsupported { path: cloud.path().to_owned(), what }
 }
