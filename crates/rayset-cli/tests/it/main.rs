@@ -18,6 +18,7 @@ mod labels;
 mod las_files;
 mod las_times;
 mod limits;
+mod lod;
 mod looks;
 mod manual;
 mod memory;
