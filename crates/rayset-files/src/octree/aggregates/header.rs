@@ -109,10 +109,3 @@ impl AggregateHeader {
         Ok(header)
     }
 }
-
-/// Which densities a file's aggregates are of, for messages.
-impl std::fmt::Display for AggregateHeader {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "kernel {}{}", self.kernel, if self.normalised { ", normalised" } else { "" })
-    }
-}
