@@ -4,6 +4,7 @@
 
 pub mod field;
 pub mod image;
+mod lod;
 mod math;
 pub mod scene;
 pub mod scene_file;

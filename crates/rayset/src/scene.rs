@@ -10,7 +10,7 @@ pub use rayset_render::field::{Kernel, SplatFilter};
 pub use rayset_render::scene::*;
 pub use rayset_render::scene::{
     BRIGHTEST, Camera, CameraError, CameraPath, Channel, CloudObject, ColorMap, ColorRule, Compositing,
-    FARTHEST, FINEST_DETAIL, Form, GRID_ATTRIBUTE, GridObject, Light, LightKind, Lighting, MAX_OPACITY,
+    FARTHEST, FINEST_DETAIL, Form, GRID_ATTRIBUTE, GridObject, Light, LightKind, Lighting, Lod, MAX_OPACITY,
     MOST_ATTRIBUTES, MOST_PLACES, MOST_STEPS, MOST_STEPS_IN_SOLIDS, MOST_STOPS, MapInput, Material,
     NamedPalette, Node, NoiseCloud, OpacityRule, Operator, Palette, PathError, Pattern, Procedural,
     ProceduralSample, Projection, RenderSettings, SHORTEST, SampleOffset, Samples, Sampling, Scene,

@@ -109,6 +109,44 @@ impl RunBatch {
         appended
     }
 
+    /// Adds a run at the end that `decode` makes, if any samples of a slab on the rays in `lanes` may
+    /// lie in it and it has points.
+    ///
+    /// # Errors
+    /// Those of `decode`.
+    pub(crate) fn append_made<E>(
+        &mut self,
+        key: RunKey,
+        (packet, slab, lanes): (&Packet, Slab, u64),
+        simd: SimdLevel,
+        decode: impl FnOnce(f64, &mut DecodedRun) -> Result<(), E>,
+    ) -> Result<Appended, E> {
+        if self.len == MOST_RUNS {
+            return Ok(Appended::NoRoom);
+        }
+        if self.len == self.runs.len() {
+            self.runs.push(Box::default());
+        }
+        let (item, step) = (&mut *self.runs[self.len], packet.least_step());
+        item.key = Some(key);
+        let is_known = self.kept.take(key, step, &mut item.run);
+        if !is_known {
+            item.key = None;
+            decode(step, &mut item.run)?;
+            item.key = Some(key);
+        }
+        if item.run.len > 0 {
+            item.set_frames(simd, (packet, slab, lanes));
+        }
+        let is_wide = item.run.wide.is_some();
+        if item.run.len == 0 || !is_wide && item.frames.meets.iter().all(|meets| meets & lanes == 0) {
+            self.keep(self.len);
+            return Ok(Appended::Nothing);
+        }
+        self.len += 1;
+        Ok(if is_known { Appended::Known } else { Appended::Decoded })
+    }
+
     /// Whether a run may be one point in the place of the last, by its bounds.
     fn may_join(&self, decoder: &RunDecoder, run: &Run<'_>) -> bool {
         let last = self.len.checked_sub(1).map(|last| &self.runs[last].run);

@@ -25,6 +25,20 @@ pub struct RunKey {
     pub page: u32,
     /// Its number in the page.
     pub number: u16,
+    /// What is decoded of it.
+    pub what: RunPart,
+}
+
+/// What is decoded of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum RunPart {
+    /// All.
+    #[default]
+    Whole,
+    /// What is a density of points that are small in a picture.
+    Density,
+    /// What of these is seen as Gaussians; of aggregates, so many of them.
+    Spread(u16),
 }
 
 /// Runs, of which the one that has not been used for longest goes first.
@@ -98,7 +112,7 @@ mod tests {
     use super::*;
 
     fn key(number: u16) -> RunKey {
-        RunKey { cloud: 1, page: 2, number }
+        RunKey { cloud: 1, page: 2, number, what: RunPart::Whole }
     }
 
     #[test]

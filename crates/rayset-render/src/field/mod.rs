@@ -4,6 +4,7 @@
 mod batch;
 mod columns;
 mod counts;
+mod far;
 mod gaussian_splat;
 mod group;
 mod harmonics;
@@ -32,7 +33,8 @@ pub use crate::math::linear_from_srgb;
 pub use batch::{Appended, BATCH_BYTES, RunBatch};
 pub use columns::AttributeColumns;
 pub use counts::SplatCounts;
-pub use kept_runs::{KEPT_BYTES, RunKey};
+pub(crate) use far::{FarChannel, FarDecoder, PointParts};
+pub use kept_runs::{KEPT_BYTES, RunKey, RunPart};
 pub use packet::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 pub use ray_columns::{ChosenRays, Crossing, Near, RayColumns};
 pub use rayset_base::kernel::Kernel;

@@ -178,17 +178,42 @@ impl RunDecoder {
     }
 
     /// Decodes the points of a run whose place is known, for samples that are at least `step`
-    /// apart, in the cloud's space, as is the sight of who sees them.
+    /// apart, in the cloud's space, as is the sight of who sees them. Those in one place may become
+    /// one.
     pub fn decode(
         &self,
         run: &Run<'_>,
         header: &Header,
-        (step, sight): (f64, Option<&Sight>),
+        asked: (f64, Option<&Sight>),
         simd: SimdLevel,
         out: &mut DecodedRun,
     ) {
-        let asked = (step, sight);
+        self.decode_run(run, header, (asked, true), simd, out);
+    }
+
+    /// The same, and every point stays what it is.
+    pub(crate) fn decode_each(
+        &self,
+        run: &Run<'_>,
+        header: &Header,
+        asked: (f64, Option<&Sight>),
+        simd: SimdLevel,
+        out: &mut DecodedRun,
+    ) {
+        self.place(run, header, asked, out);
+        self.decode_run(run, header, (asked, false), simd, out);
+    }
+
+    fn decode_run(
+        &self,
+        run: &Run<'_>,
+        header: &Header,
+        asked: ((f64, Option<&Sight>), bool),
+        simd: SimdLevel,
+        out: &mut DecodedRun,
+    ) {
         dispatch!(simd.level(), token => self.decode_with(token, simd, run, header, asked, out));
+        let (_, sight) = asked.0;
         if self.columns.color && header.harmonics > 0 {
             let places = (out.center, &out.points.position);
             let as_displayed = self.columns.color_as_displayed;
@@ -204,7 +229,7 @@ impl RunDecoder {
         level: SimdLevel,
         run: &Run<'_>,
         header: &Header,
-        (step, sight): (f64, Option<&Sight>),
+        ((step, sight), may_merge): ((f64, Option<&Sight>), bool),
         out: &mut DecodedRun,
     ) {
         let n = run.head.len();
@@ -246,7 +271,7 @@ impl RunDecoder {
         out.may_be_wide = is_wide;
         // Points in one place follow each other: fifteen of them fill a chunk. Fewer cost little.
         let whole = (1 << (n / CHUNK_POINTS)) - 1;
-        if one_place & whole != 0 && !is_wide && !self.are_splats && out.label.is_empty() {
+        if may_merge && one_place & whole != 0 && !is_wide && !self.are_splats && out.label.is_empty() {
             out.merge_places();
             out.pad_last_chunk();
             out.bound_chunks(simd);
@@ -341,6 +366,31 @@ impl DecodedRun {
         }
         self.points.inverse_radius_squared[n..padded].fill(f32::INFINITY);
         self.points.map.iter_mut().for_each(|column| column[n..padded].fill(f32::INFINITY));
+    }
+
+    /// Finds the bounds of points that were left of a run.
+    #[inline(always)]
+    pub(super) fn bound_again<S: Simd>(&mut self, simd: S, least_radius: f32) {
+        self.radius_min = least_radius;
+        if self.len == 0 {
+            return;
+        }
+        self.pad_last_chunk();
+        self.bound_chunks(simd);
+        if self.has_plates {
+            self.set_plates(simd);
+        }
+    }
+
+    /// Makes a run of Gaussians, whose columns, size and reach are known, ready.
+    pub(super) fn set_far(&mut self, least_radius: f32, simd: SimdLevel) {
+        self.reach_length = self.reach[0] + self.reach[1] + self.reach[2];
+        self.least_length = f64::from(least_radius);
+        self.has_plates = true;
+        let spare = self.wide.take().or_else(|| self.spare_wide.take());
+        self.spare_wide = spare;
+        self.may_be_wide = false;
+        dispatch!(simd.level(), token => self.bound_again(token, least_radius));
     }
 
     fn set_plates<S: Simd>(&mut self, simd: S) {

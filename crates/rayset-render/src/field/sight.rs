@@ -70,6 +70,19 @@ impl Sight {
         }
     }
 
+    /// No more than the edge of a pixel at any place in a box.
+    #[must_use]
+    pub fn least_pixel_in(&self, bounds: &Aabb) -> f64 {
+        match self.eye {
+            Eye::Along(_) => self.pixel,
+            Eye::At(eye) => {
+                let nearest = eye.clamp(bounds.min, bounds.max);
+                let cosine = self.corner_cosine;
+                self.pixel * nearest.distance(eye) * cosine * cosine.sqrt()
+            }
+        }
+    }
+
     /// No less than the edge of a pixel at any place in a box.
     #[must_use]
     pub fn largest_pixel_in(&self, bounds: &Aabb) -> f64 {

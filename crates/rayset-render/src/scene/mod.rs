@@ -281,6 +281,23 @@ pub enum Shadows {
     },
 }
 
+/// How wide pixels are taken to be where points are seen from afar.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+#[non_exhaustive]
+pub enum Lod {
+    /// Every point is seen, however small it is.
+    #[default]
+    Off,
+    /// Cells as wide as a pixel times this factor, 1/16 to 64, are seen in place of their points,
+    /// of clouds whose files have aggregates.
+    Footprint(f32),
+}
+
+impl Lod {
+    /// Cells as wide as a pixel.
+    pub const AUTO: Self = Self::Footprint(1.0);
+}
+
 /// The settings that determine pixels, besides the scene and the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(not(feature = "internals"), non_exhaustive)]
@@ -314,6 +331,8 @@ pub struct RenderSettings {
     /// to 1024. Less than two bytes of memory are set aside for each, of at most this number cubed
     /// for every cap.
     pub cap_resolution: u32,
+    /// What is seen of points from afar.
+    pub lod: Lod,
 }
 
 impl Default for RenderSettings {
@@ -331,6 +350,7 @@ impl Default for RenderSettings {
             layers: false,
             ambient_occlusion: 0.0,
             cap_resolution: 256,
+            lod: Lod::Off,
         }
     }
 }
@@ -345,6 +365,7 @@ setters!(RenderSettings {
     with_layers => layers: bool,
     with_ambient_occlusion => ambient_occlusion: f32,
     with_cap_resolution => cap_resolution: u32,
+    with_lod => lod: Lod,
 });
 
 impl RenderSettings {

@@ -14,7 +14,7 @@ use super::transfer::{CompiledTransfer, Input};
 use super::unopened::Unopened;
 use crate::field::{Kernel, SimdLevel};
 use crate::scene::{
-    CloudObject, GridObject, LightKind, Lighting, Material, Node, Operator, Procedural, Scene, Shape,
+    CloudObject, GridObject, LightKind, Lighting, Lod, Material, Node, Operator, Procedural, Scene, Shape,
 };
 use rayset_base::geometry::{Aabb, DAffine3};
 
@@ -24,6 +24,7 @@ type Compiled = (Action<Unopened>, Aabb, Option<[f32; 3]>);
 
 struct Compiler<'s> {
     scene: &'s Scene,
+    lod: Lod,
     simd: SimdLevel,
     instructions: Vec<Instruction<Unopened>>,
     known: HashMap<Key, usize>,
@@ -38,10 +39,15 @@ struct Compiler<'s> {
 impl Program<Unopened> {
     /// Compiles a scene that has been checked.
     pub(super) fn compile(scene: &Scene, purpose: Purpose, simd: SimdLevel) -> Self {
+        Self::compile_seen(scene, (purpose, Lod::Off), simd)
+    }
+
+    /// The same, seen with a level of detail.
+    pub(super) fn compile_seen(scene: &Scene, (purpose, lod): (Purpose, Lod), simd: SimdLevel) -> Self {
         let leaves = (purpose == Purpose::Layers).then_some(0);
         let (instructions, known, materials) = (Vec::new(), HashMap::new(), Vec::new());
         let names = scene.root.attributes_read();
-        let mut compiler = Compiler { scene, simd, instructions, known, names, materials, leaves };
+        let mut compiler = Compiler { scene, lod, simd, instructions, known, names, materials, leaves };
         let material = compiler.material(&Material::default());
         compiler.add(&scene.root, &DAffine3::IDENTITY, material);
         compiler.finish(purpose)
@@ -115,7 +121,7 @@ impl Compiler<'_> {
         world_from_local: &DAffine3,
         material: [f32; MATERIAL],
     ) -> Compiled {
-        let volume = CloudVolume::new(object, world_from_local, self.scene, material);
+        let volume = CloudVolume::new(object, world_from_local, (self.scene, self.lod), material);
         let color = volume.shading.uniform_color();
         (Action::Cloud(Box::new(volume)), object.bounds().transformed(world_from_local), color)
     }
@@ -281,8 +287,7 @@ impl Compiler<'_> {
         let (operator, children) = match action {
             Action::Operator(operator, children) => (operator, children),
             Action::Cloud(volume) => {
-                let CloudVolume { placement, shading } = volume.as_mut();
-                return shading.carry(placement.header(), below, &self.names);
+                return volume.carry(below, &self.names);
             }
             Action::Grid(volume) => return volume.carry(&self.names),
             Action::Procedural(volume) => return volume.carry(&self.names),

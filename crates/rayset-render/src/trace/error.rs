@@ -72,6 +72,9 @@ pub enum SettingError {
     /// The strength of ambient occlusion.
     #[error("ambient occlusion: {0} is not between 0 and 4")]
     AmbientOcclusion(f32),
+    /// How wide pixels are taken to be where points are seen from afar.
+    #[error("level of detail: a footprint of {0} pixels is not between 1/16 and 64")]
+    Lod(f32),
     /// The number of threads.
     #[error("threads: {0} are more than {MOST_THREADS}")]
     Threads(usize),

@@ -14,6 +14,7 @@ use super::prepared::Prepared;
 use super::progress::{FEW_WAITING, MOST_WAITING, Output, Progress, State};
 use super::ray_tree::{MOST_SHEETS, PrimaryRay, Sheet};
 use super::scheduler::{Task, Turn};
+use super::steps::StepRule;
 use super::tiles::{Attempt, Deferred, TileQueue, Together};
 use super::work::{PixelMask, Tile, TilePlace, Work};
 use super::{RenderCounts, RenderError};
@@ -33,6 +34,7 @@ const MOST_TOGETHER: usize = 16;
 pub(super) struct Job {
     prepared: Arc<Prepared>,
     rays: RayMaker,
+    steps: Arc<StepRule>,
     settings: RenderSettings,
     pub(super) tiles: Arc<[Tile]>,
     /// The pixels of each tile that are traced, if they are not all.
@@ -71,7 +73,7 @@ impl Job {
     /// `work` has at least one tile, and all of its tiles lie in the picture.
     pub(super) fn new(
         prepared: Arc<Prepared>,
-        rays: RayMaker,
+        (rays, steps): (RayMaker, Arc<StepRule>),
         settings: RenderSettings,
         work: &Work,
         stop: &CancelToken,
@@ -87,6 +89,7 @@ impl Job {
             lookahead_state: LookaheadState::new(&prepared.world, visited, threads),
             pages: prepared.engine.pages.client(stop),
             rays,
+            steps,
             settings,
             tiles,
             traced: work.traced.as_deref().map(Box::from),
@@ -156,7 +159,8 @@ impl Job {
     /// tiles wait.
     fn trace_tiles(&self, turn: &Turn<'_>) {
         let exec = &self.prepared.engine.exec;
-        let mut tracer = PacketTracer::new(&self.prepared.world, &self.rays, exec.slab_samples);
+        let mut tracer =
+            PacketTracer::new(&self.prepared.world, (&self.rays, &self.steps), exec.slab_samples);
         let (asked_bytes, reuse, foreseen) = (Cell::new(0), RefCell::default(), Foreseen::default());
         let mut together = Together::new(self.most_together());
         let pages = self.pages.for_thread();

@@ -28,7 +28,7 @@ impl March<'_> {
         let channels = program.required.attributes.count_ones() as usize;
         let of_clouds = clouds * CloudMarch::BYTES + CloudScratch::bytes(clouds, channels);
         let of_details =
-            if may_differ(program) { Details::BYTES + clouds * Details::BYTES_OF_CLOUD } else { 0 };
+            if may_differ(program, true) { Details::BYTES + clouds * Details::BYTES_OF_CLOUD } else { 0 };
         let of_grids = if grids > 0 { grids * GridMarch::BYTES + GridScratch::BYTES } else { 0 };
         program.instructions.len() * PLACE_BYTES
             + program.most_blocks() * NodeSamples::bytes(program.required)

@@ -12,6 +12,7 @@ use super::node_samples::NodeSamples;
 use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet, Successor};
 use super::shade::SlabToShade;
 use super::shadow::Shadows;
+use super::steps::StepRule;
 use super::world::World;
 use crate::field::{LANES, Packet, Slab};
 use crate::scene::RayMaker;
@@ -22,6 +23,7 @@ pub(super) struct PacketTracer<'a> {
     world: &'a World,
     /// The rays of the view.
     rays: &'a RayMaker,
+    steps: &'a StepRule,
     march: March<'a>,
     shadows: Option<Shadows<'a>>,
     refraction: Option<RefractionStates>,
@@ -41,11 +43,16 @@ enum Traced {
 }
 
 impl<'a> PacketTracer<'a> {
-    pub(super) fn new(world: &'a World, rays: &'a RayMaker, slab_samples: usize) -> Self {
+    pub(super) fn new(
+        world: &'a World,
+        (rays, steps): (&'a RayMaker, &'a StepRule),
+        slab_samples: usize,
+    ) -> Self {
         Self {
             world,
             rays,
-            march: March::new(&world.program, &world.steps, slab_samples),
+            steps,
+            march: March::new(&world.program, steps, slab_samples),
             shadows: world.shadows.as_ref().map(|world| Shadows::new(world, slab_samples)),
             refraction: world.bounces.map(RefractionStates::new),
             layers: world.layers.then(Layers::new),
@@ -151,7 +158,7 @@ impl<'a> PacketTracer<'a> {
         let (known, is_limited) = (tree.following(), tree.is_of_several_pixels());
         tree.ends.clear();
         tree.ends.resize(tree.generation().len(), End::default());
-        let packets = tree.packets(self.world.steps.coarsest_world());
+        let packets = tree.packets(self.steps.coarsest_world());
         self.ask_ahead(access, tree, &packets);
         for members in packets {
             self.packet(access, tree, &members)?;

@@ -54,7 +54,10 @@ pub(super) struct Instruction<P = Arc<Object>> {
 impl Instruction {
     /// How much farther splats of its own reach for those who see them; world space.
     pub(super) fn reach_world(&self, sight: Option<&Sight>) -> f64 {
-        if let Action::Cloud(volume) = &self.action { volume.placement.reach_world(sight) } else { 0.0 }
+        match &self.action {
+            Action::Cloud(volume) => volume.placement.reach_world(sight, volume.lod.as_deref()),
+            _ => 0.0,
+        }
     }
 
     /// Nothing outside of these is evaluated where splats of the program reach so much farther.

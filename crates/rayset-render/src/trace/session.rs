@@ -13,7 +13,7 @@ use super::sink::Picture;
 use super::world::World;
 use super::{RenderCounts, RenderError, SettingError};
 use crate::field::SimdLevel;
-use crate::scene::{Camera, Node, RenderSettings, Samples, Scene, Shadows, Shape};
+use crate::scene::{Camera, Lod, Node, RenderSettings, Samples, Scene, Shadows, Shape};
 use rayset_base::cancel::CancelToken;
 use rayset_files::PagedFiles;
 use rayset_files::octree::Cloud;
@@ -344,6 +344,11 @@ fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
     }
     if !(8..=1024).contains(&settings.cap_resolution) {
         return Err(SettingError::CapResolution(settings.cap_resolution).into());
+    }
+    if let Lod::Footprint(factor) = settings.lod
+        && !(1.0 / 16.0..=64.0).contains(&factor)
+    {
+        return Err(SettingError::Lod(factor).into());
     }
     if !(0.0..=4.0).contains(&settings.ambient_occlusion) {
         return Err(SettingError::AmbientOcclusion(settings.ambient_occlusion).into());

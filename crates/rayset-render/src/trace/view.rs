@@ -7,9 +7,10 @@ use super::job::{Job, Next};
 use super::prepared::{Prepared, PreparedScene};
 use super::session::check_samples;
 use super::sink::{FinishedTile, TileSink};
+use super::steps::StepRule;
 use super::work::{LOOKAHEAD_TILE_PIXELS, MAX_TILE_PIXELS, Region, Tile, Work};
 use super::{RenderCounts, RenderError, SettingError};
-use crate::scene::{Camera, RayMaker, RenderSettings, Samples};
+use crate::scene::{Camera, Lod, RayMaker, RenderSettings, Samples};
 use rayset_base::cancel::CancelToken;
 use rayset_base::geometry::curve::hilbert_order;
 
@@ -20,6 +21,8 @@ use rayset_base::geometry::curve::hilbert_order;
 pub struct View {
     pub(super) prepared: Arc<Prepared>,
     pub(super) rays: RayMaker,
+    /// Of rays from the eye.
+    pub(super) steps: Arc<StepRule>,
     pub(super) settings: RenderSettings,
 }
 
@@ -51,7 +54,12 @@ impl PreparedScene {
         }
         let rays = camera.ray_maker(width, height)?;
         let settings = RenderSettings { width, height, ..self.0.settings };
-        Ok(View { prepared: self.0.clone(), rays, settings })
+        let world = &self.0.world;
+        let steps = match settings.lod {
+            Lod::Off => world.steps.clone(),
+            Lod::Footprint(_) => StepRule::new(&world.program, &settings, Some(&rays.sight()))?,
+        };
+        Ok(View { prepared: self.0.clone(), rays, steps: Arc::new(steps), settings })
     }
 }
 
@@ -150,7 +158,13 @@ impl View {
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }
-        let job = Arc::new(Job::new(self.prepared.clone(), self.rays, self.settings, work, &stop));
+        let job = Arc::new(Job::new(
+            self.prepared.clone(),
+            (self.rays, self.steps.clone()),
+            self.settings,
+            work,
+            &stop,
+        ));
         let progress = job.progress();
         let _woken = stop.register(Arc::new(move || progress.wake()));
         // A sink that panics ends the render, too.

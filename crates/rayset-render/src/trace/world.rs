@@ -41,14 +41,14 @@ impl World {
         simd: SimdLevel,
         paged: &PagedFiles,
     ) -> Result<Self, RenderError> {
-        let program = Program::compile(scene, settings.purpose(), simd).open(paged)?;
+        let program = Program::compile_seen(scene, (settings.purpose(), settings.lod), simd).open(paged)?;
         let shader = Shader::new(scene, program.constants, simd);
         let absorption = Absorption {
             unit_distance: scene.unit_distance,
             stop_transmittance: f64::from(settings.stop_transmittance),
             simd,
         };
-        let steps = StepRule::new(&program, settings)?;
+        let steps = StepRule::new(&program, settings, None)?;
         let bounces = Bounces {
             turns: program.turns(),
             max_depth: settings.max_depth,

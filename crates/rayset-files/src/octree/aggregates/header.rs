@@ -46,6 +46,14 @@ impl AggregateHeader {
         (page_bytes - PAGE_HEAD_BYTES as u32) / self.record_bytes
     }
 
+    /// The page of a record, counted from the first of aggregates, and its place there, in pages of
+    /// this size.
+    #[must_use]
+    pub fn place_of(&self, record: u32, page_bytes: u32) -> (u32, usize) {
+        let per_page = self.records_per_page(page_bytes).max(1);
+        (record / per_page, (record % per_page) as usize)
+    }
+
     /// The level of a record.
     #[must_use]
     pub fn level_of(&self, record: u32) -> u8 {

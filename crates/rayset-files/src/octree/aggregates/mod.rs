@@ -44,7 +44,7 @@ pub use self::histogram::{BINS, DensityBins, Width};
 use self::moments::Carried;
 pub use self::options::AggregateOptions;
 pub use self::page::AggregatePage;
-pub use self::record::{AGGREGATE_BYTES, Aggregate};
+pub use self::record::{AGGREGATE_BYTES, Aggregate, CellPlace};
 use self::records::{RecordMaker, RecordSink};
 use self::store::StoredRecords;
 use super::file::Cloud;

@@ -1,7 +1,7 @@
 //! Pages of aggregates (section `AGGR`).
 
 use super::header::AggregateHeader;
-use super::record::{AGGREGATE_BYTES, Aggregate};
+use super::record::{AGGREGATE_BYTES, Aggregate, CellPlace};
 use crate::octree::format::Header;
 use crate::octree::layout::RootCell;
 use rayset_store::container::{PAGE_HEAD_BYTES, PageError, PageHead, PageKind};
@@ -83,6 +83,12 @@ impl<'a> AggregatePage<'a> {
     pub fn get(&self, index: usize, level: u8) -> Option<Aggregate> {
         let edge = self.root.size * 2_f64.powi(-i32::from(level));
         Aggregate::decode(self.bytes_of(index)?, self.root, edge)
+    }
+
+    /// Where a record's cell is, and what is below it: all that a walk reads.
+    #[must_use]
+    pub fn place(&self, index: usize) -> Option<CellPlace> {
+        CellPlace::decode(self.bytes_of(index)?, self.root)
     }
 
     /// The colour of a record, as displays have it (sRGB).

@@ -41,6 +41,38 @@ pub struct Aggregate {
     pub more_points: u16,
 }
 
+/// What a walk reads of a record.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CellPlace {
+    /// See [`Aggregate::centroid`].
+    pub centroid: DVec3,
+    /// See [`Aggregate::child_mask`].
+    pub child_mask: u8,
+    /// See [`Aggregate::first_child`].
+    pub first_child: u32,
+    /// See [`Aggregate::first_point`].
+    pub first_point: u16,
+    /// See [`Aggregate::more_points`].
+    pub more_points: u16,
+}
+
+impl CellPlace {
+    /// Reads it from the bytes of a record, of which there must be [`AGGREGATE_BYTES`].
+    pub(super) fn decode(bytes: &[u8], root: RootCell) -> Option<Self> {
+        let bytes: &[u8; AGGREGATE_BYTES] = bytes.first_chunk()?;
+        let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+        let u32_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+        let place = DVec3::from_array([0, 4, 8].map(|at| f64::from(u32_at(at)) / PLACES));
+        Some(Self {
+            centroid: root.min + place * root.size,
+            child_mask: bytes[27],
+            first_child: u32_at(28),
+            first_point: u16_at(32),
+            more_points: u16_at(34),
+        })
+    }
+}
+
 impl Aggregate {
     /// Writes the record into its 48 bytes. `edge` is that of its cell, world space.
     pub(super) fn encode(&self, root: RootCell, edge: f64, bytes: &mut [u8]) {

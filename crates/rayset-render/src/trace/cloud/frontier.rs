@@ -6,32 +6,27 @@
 
 use std::ops::Range;
 
+use super::cut::{Cut, NONE, NodeCut, RecordRange, Seen};
 use super::live_rays::LiveRays;
+use super::lod::CloudLod;
 use super::nodes::{NodesInMemory, RetainedNodes};
+use super::opening::Opening;
 use super::placement::CloudPlacement;
 use crate::field::{Packet, SLAB_SAMPLES, Sight, Slab};
 use crate::trace::access::{Access, Halt};
 use rayset_base::geometry::{Aabb, Ray};
 use rayset_base::nearest_first::NearestFirst;
-use rayset_files::octree::layout::RUN_POINTS;
 use rayset_files::octree::node::Node;
 use rayset_files::octree::page::PointPage;
 use rayset_files::octree::walk::{NodePages, Visit, Visitor, Walk};
 
-/// Nodes with more own runs than this add whole pages instead of single runs, so that a frontier
-/// stays small however large the points are.
-const MOST_SINGLE_RUNS: u32 = 512;
-
-/// Runs that extend over more samples of a packet than this are examined point by point.
-const MOST_SAMPLES_AT_ONCE: u64 = 64 * SLAB_SAMPLES as u64;
-/// Most separate ranges of ticks that are kept for a run.
-const MOST_RANGES: usize = 32;
-
 #[derive(Clone, Copy, Debug)]
-enum Item {
+pub(super) enum Item {
     /// A node whose record has been read, but not its children and points.
-    Node(Node),
-    Runs(Runs),
+    Node(Node, NodeCut),
+    Runs(Runs, RunCut),
+    /// Aggregates that are seen.
+    Records(RecordRange),
 }
 
 /// One run of a page, or several runs that have not been examined individually.
@@ -42,11 +37,24 @@ pub(super) struct Runs {
     pub(super) end: u16,
 }
 
+/// How the points of runs are seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct RunCut {
+    /// Where it is kept what is seen of the node's points; [`NONE`] if that is all.
+    pub(super) node: u32,
+    /// The number of the first run's first point among those of the node.
+    pub(super) first_point: u32,
+}
+
+impl RunCut {
+    pub(super) const WHOLE: Self = Self { node: NONE, first_point: 0 };
+}
+
 #[derive(Clone, Copy, Debug)]
-struct Ahead {
+pub(super) struct Ahead {
     /// Last tick that it may reach.
-    last: u64,
-    item: Item,
+    pub(super) last: u64,
+    pub(super) item: Item,
 }
 
 /// Runs that some sample of the packet may need.
@@ -56,6 +64,46 @@ pub(super) struct ActiveRuns {
     /// First and last tick that they may reach.
     pub(super) first: u64,
     pub(super) last: u64,
+    pub(super) cut: RunCut,
+}
+
+/// Aggregates that some sample of the packet may need.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct ActiveRecords {
+    pub(super) records: RecordRange,
+    /// First and last tick that they may reach.
+    pub(super) first: u64,
+    pub(super) last: u64,
+}
+
+/// All that some sample of the packet may need.
+#[derive(Default)]
+pub(super) struct Active {
+    pub(super) runs: Vec<ActiveRuns>,
+    pub(super) records: Vec<ActiveRecords>,
+}
+
+impl Active {
+    pub(super) fn clear(&mut self) {
+        self.runs.clear();
+        self.records.clear();
+    }
+
+    /// Forgets what no ray comes to any more.
+    pub(super) fn pass(&mut self, since: u64) {
+        self.runs.retain(|runs| runs.last >= since);
+        self.records.retain(|records| records.last >= since);
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.runs.is_empty() && self.records.is_empty()
+    }
+
+    /// Whether anything reaches a tick or what is behind it.
+    pub(super) fn reaches(&self, tick: u64) -> bool {
+        self.runs.iter().any(|runs| runs.last >= tick)
+            || self.records.iter().any(|records| records.last >= tick)
+    }
 }
 
 /// Nodes and runs ahead of a packet.
@@ -67,6 +115,7 @@ pub(super) struct Frontier {
     /// What only rays need that come to the slab with finer steps, while it is advanced to.
     aside: Vec<(u64, Ahead)>,
     walk: Walk,
+    pub(super) cut: Cut,
 }
 
 /// Before all samples.
@@ -88,6 +137,8 @@ pub(super) struct PacketInCloud<'a> {
     pub(super) rays: &'a LiveRays,
     /// In the cloud's space.
     pub(super) sight: Option<&'a Sight>,
+    /// If the cloud is seen from afar.
+    pub(super) lod: Option<&'a CloudLod>,
 }
 
 impl<'a> PacketInCloud<'a> {
@@ -95,14 +146,31 @@ impl<'a> PacketInCloud<'a> {
         RetainedNodes { access: self.access, cloud: self.cloud }
     }
 
+    /// The cloud as it is seen from afar, if it is.
+    pub(super) fn from_afar(&self) -> Option<Seen<'a>> {
+        let (cloud, lod, sight) = (self.cloud, self.lod?, self.sight?);
+        Some(Seen { cloud, lod, sight })
+    }
+
+    /// A box of points as far as these reach for those who see them.
+    pub(super) fn as_seen(&self, bounds: Aabb) -> Aabb {
+        self.cloud.as_seen(bounds, (self.sight, self.lod))
+    }
+
+    /// The pages that are needed to open a node. From afar, points of a leaf may not be.
+    fn pages_to_open(&self, node: &Node) -> impl Iterator<Item = u32> + use<> {
+        let is_needed = self.lod.is_none() || node.child_mask != 0;
+        self.cloud.pages_to_open(node).filter(move |_| is_needed)
+    }
+
     /// Bounds of influence of a node.
-    fn bounds(&self, node: &Node) -> Aabb {
-        self.cloud.as_seen(node.bounds(self.cloud.root_cell), self.sight)
+    pub(super) fn bounds(&self, node: &Node) -> Aabb {
+        self.as_seen(node.bounds(self.cloud.root_cell))
     }
 
     /// Bounds of influence of a run.
     pub(super) fn run_bounds(&self, points: &PointPage<'_>, run: usize) -> Aabb {
-        self.cloud.as_seen(run_bounds(self.cloud, points, run), self.sight)
+        self.as_seen(run_bounds(self.cloud, points, run))
     }
 }
 
@@ -111,17 +179,12 @@ impl Frontier {
     pub(super) fn begin(&mut self, place: PacketInCloud<'_>) -> Result<(), Halt> {
         self.heap.clear();
         self.aside.clear();
-        let mut none = Vec::new();
-        let mut opening = Opening {
-            place,
-            heap: &mut self.heap,
-            aside: &mut self.aside,
-            slab: NOWHERE,
-            since: 0,
-            active: &mut none,
-            entry: None,
-        };
-        self.walk.begin(&mut place.nodes(), &mut opening)
+        self.cut.clear();
+        let mut none = Active::default();
+        let Self { heap, aside, walk, cut } = self;
+        let mut opening = Opening::new(place, (heap, aside, cut), (NOWHERE, 0), &mut none);
+        opening.begin()?;
+        walk.begin(&mut place.nodes(), &mut opening)
     }
 
     /// The first tick that anything ahead may reach.
@@ -137,14 +200,14 @@ impl Frontier {
         place: PacketInCloud<'_>,
         slab: Slab,
         since: u64,
-        active: &mut Vec<ActiveRuns>,
+        active: &mut Active,
     ) -> Result<(), Halt> {
-        let Self { heap, aside, walk } = self;
-        let mut opening = Opening { place, heap, aside, slab, since, active, entry: None };
+        let Self { heap, aside, walk, cut } = self;
+        let mut opening = Opening::new(place, (heap, aside, cut), (slab, since), active);
         let outcome = walk.go_on(&mut place.nodes(), &mut opening);
         let opened_last = opening.entry;
         self.aside.drain(..).for_each(|(first, entry)| self.heap.push(first, entry));
-        if let (Err(Halt::Deferred(_)), Some((_, Ahead { item: Item::Node(node), .. }))) =
+        if let (Err(Halt::Deferred(_)), Some((_, Ahead { item: Item::Node(node, _), .. }))) =
             (&outcome, opened_last)
         {
             self.request_ahead(place, &node, slab);
@@ -157,12 +220,12 @@ impl Frontier {
     fn request_ahead(&self, place: PacketInCloud<'_>, node: &Node, slab: Slab) {
         let PacketInCloud { access, cloud, packet, rays, .. } = place;
         let until = slab.end_tick() + ((access.slabs_on_a_miss * SLAB_SAMPLES as u64) << slab.level);
-        let mut pages: Vec<u32> = cloud.pages_to_open(node).collect();
+        let mut pages: Vec<u32> = place.pages_to_open(node).collect();
         for (_, entry) in self.heap.iter().filter(|(first, _)| *first < until) {
-            if let Item::Node(node) = &entry.item
+            if let Item::Node(node, _) = &entry.item
                 && rays.ticks_in(packet, &place.bounds(node)).is_some()
             {
-                pages.extend(cloud.pages_to_open(node));
+                pages.extend(place.pages_to_open(node));
             }
         }
         access.pages.hint(&cloud.pages, &pages, u64::MAX);
@@ -177,7 +240,7 @@ impl Frontier {
         let mut line = Line { cloud, middle, nearest: None, pages: Vec::new() };
         let mut nodes = NodesInMemory::new(access.pages, cloud);
         for (_, entry) in self.heap.iter() {
-            if let Item::Node(node) = entry.item {
+            if let Item::Node(node, _) = entry.item {
                 Visitor::<NodesInMemory<'_>>::meet(&mut line, node);
             }
         }
@@ -187,96 +250,6 @@ impl Frontier {
             return;
         }
         access.pages.hint(&cloud.pages, &line.pages, u64::MAX);
-    }
-}
-
-/// The nodes that samples of a slab need, while they are opened.
-struct Opening<'t> {
-    place: PacketInCloud<'t>,
-    heap: &'t mut NearestFirst<u64, Ahead>,
-    aside: &'t mut Vec<(u64, Ahead)>,
-    slab: Slab,
-    since: u64,
-    active: &'t mut Vec<ActiveRuns>,
-    /// The entry that is visited, with the first tick that it may reach.
-    entry: Option<(u64, Ahead)>,
-}
-
-impl<'t> Opening<'t> {
-    /// Examines the bounds of a node's own runs. This needs their pages, which are soon needed
-    /// again for the points.
-    fn open_own(&mut self, node: &Node, walk: &mut Walk) -> Result<(), Halt> {
-        let PacketInCloud { access, cloud, packet, rays, .. } = self.place;
-        if !walk.may_look_at_runs_of(node, cloud.header()) {
-            return Err(cloud.broken(node.own.first_page).into());
-        }
-        let node_bounds = &self.place.bounds(node);
-        each_own_page(access, cloud, node, |page, points, range| {
-            if node.own.runs > MOST_SINGLE_RUNS {
-                let (first, last) = rays.ticks_in(packet, node_bounds).unwrap_or((0, 0));
-                let runs = Runs { page, first: range.start as u16, end: range.end as u16 };
-                self.heap.push(first, Ahead { last, item: Item::Runs(runs) });
-                return;
-            }
-            for index in range {
-                let bounds = self.place.run_bounds(points, index);
-                let Some((first, last)) = rays.ticks_in(packet, &bounds) else { continue };
-                let item = Item::Runs(Runs { page, first: index as u16, end: index as u16 + 1 });
-                if (last - first) >> self.slab.level <= MOST_SAMPLES_AT_ONCE {
-                    self.heap.push(first, Ahead { last, item });
-                    continue;
-                }
-                let ranges = ranges_of_points(self.place, points, index, self.slab.level)
-                    .unwrap_or_else(|| vec![(first, last)]);
-                for (first, last) in ranges {
-                    self.heap.push(first, Ahead { last, item });
-                }
-            }
-        })
-    }
-}
-
-impl<'t> Visitor<RetainedNodes<'t>> for Opening<'t> {
-    fn meet(&mut self, node: Node) {
-        let PacketInCloud { packet, rays, .. } = self.place;
-        if let Some((first, last)) = rays.ticks_in(packet, &self.place.bounds(&node)) {
-            self.heap.push(first, Ahead { last, item: Item::Node(node) });
-        }
-    }
-
-    fn next(&mut self) -> Option<Node> {
-        while let Some((first, entry)) = self.heap.pop_before(self.slab.end_tick()) {
-            match entry.item {
-                Item::Runs(runs) => {
-                    self.active.push(ActiveRuns { runs, first, last: entry.last });
-                }
-                // What waited for finer steps may lie behind all rays meanwhile.
-                Item::Node(_) if entry.last < self.since => {}
-                Item::Node(node) => {
-                    self.entry = Some((first, entry));
-                    return Some(node);
-                }
-            }
-        }
-        None
-    }
-
-    fn visit(&mut self, node: &Node, walk: &mut Walk, _: &mut RetainedNodes<'t>) -> Result<Visit, Halt> {
-        let PacketInCloud { packet, rays, .. } = self.place;
-        let bounds = self.place.bounds(node);
-        // Rays that met it may have ended since.
-        let Some(range) = rays.ticks_in(packet, &bounds) else { return Ok(Visit::Skip) };
-        if rays.misses_now(packet, &bounds, range) {
-            let end = self.slab.end_tick();
-            match self.entry {
-                Some((first, entry)) if rays.some_wait() => self.aside.push((first, entry)),
-                Some((_, entry)) if entry.last >= end => self.heap.push(end, entry),
-                _ => {}
-            }
-            return Ok(Visit::Skip);
-        }
-        self.open_own(node, walk)?;
-        Ok(Visit::Open)
     }
 }
 
@@ -335,40 +308,4 @@ pub(in crate::trace) fn each_own_page(
         (page, run) = (page + 1, 0);
     }
     Ok(())
-}
-
-/// Ranges of ticks that the points of a wide run may reach, or `None` if there are too many that
-/// are more than a slab of a level apart. They may be much smaller than the range of its bounds,
-/// because rays miss most points of a wide run.
-fn ranges_of_points(
-    place: PacketInCloud<'_>,
-    points: &PointPage<'_>,
-    run: usize,
-    level: u32,
-) -> Option<Vec<(u64, u64)>> {
-    let PacketInCloud { cloud, packet, rays, sight, .. } = place;
-    let run = points.run(run);
-    let mut radii = [cloud.header().radius.min(); RUN_POINTS];
-    if let Some(stored) = run.radii(cloud.header()) {
-        radii.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = stored);
-    }
-    let positions = run.positions(cloud.root_cell);
-    let mut ranges: Vec<(u64, u64)> = (positions.iter().zip(&radii))
-        .filter_map(|(&position, &radius)| {
-            // Far larger than the rounding error when a point is added to samples.
-            let reach = f64::from(radius) * (1.0 + 1e-4);
-            // Between the rays of a packet there may be any number of points that no ray meets.
-            let bounds = cloud.as_seen(Aabb::new(position - reach, position + reach), sight);
-            rays.ticks_of_each(packet, &bounds)
-        })
-        .collect();
-    ranges.sort_unstable();
-    ranges.dedup_by(|next, before| {
-        let one = next.0 <= before.1 + ((SLAB_SAMPLES as u64) << level);
-        if one {
-            before.1 = before.1.max(next.1);
-        }
-        one
-    });
-    (ranges.len() <= MOST_RANGES).then_some(ranges)
 }

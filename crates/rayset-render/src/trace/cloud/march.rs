@@ -1,17 +1,18 @@
 //! The march of one packet through one cloud, slab by slab.
 
-use super::frontier::{ActiveRuns, Frontier, PacketInCloud, Runs};
-use super::live_rays::{LiveRays, bits_between};
+use super::frontier::{Active, Frontier, PacketInCloud};
+use super::gather::{Gathering, Samples};
+use super::live_rays::LiveRays;
 use super::shading::CloudShading;
 use super::volume::CloudVolume;
 use crate::field::{
-    Appended, BATCH_BYTES, FieldSamples, KEPT_BYTES, LANES, Packet, RayEnds, RunBatch, RunKey, SampleRow,
+    BATCH_BYTES, Channels, FieldSamples, KEPT_BYTES, LANES, Packet, RayEnds, RunBatch, RunPart, SampleRow,
     Sight, SimdLevel, Slab, Splatter,
 };
+use crate::lod::SPREAD;
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
 use crate::trace::node_samples::{Live, Measure, NodeSamples, RequiredOutputs};
-use rayset_files::octree::page::PointPage;
 use rayset_store::working_set::Loan;
 
 /// What the part of an octree ahead of a packet takes, and the runs that it has reached. Lists that
@@ -25,7 +26,7 @@ pub(in crate::trace) struct CloudMarch {
     /// In the cloud's space.
     sight: Option<Sight>,
     frontier: Frontier,
-    active: Vec<ActiveRuns>,
+    active: Active,
     /// `None` until a packet has begun.
     rays: Option<LiveRays>,
 }
@@ -44,6 +45,8 @@ pub(in crate::trace) struct CloudScratch {
     room: Room,
     /// One for each set of channels used by any cloud.
     fields: Vec<FieldSamples>,
+    /// The same of what is seen from afar.
+    spread: Vec<FieldSamples>,
 }
 
 impl CloudScratch {
@@ -56,7 +59,7 @@ impl CloudScratch {
     }
 
     pub(in crate::trace) fn new() -> Self {
-        Self { batch: RunBatch::default(), room: Room::NotAsked, fields: Vec::new() }
+        Self { batch: RunBatch::default(), room: Room::NotAsked, fields: Vec::new(), spread: Vec::new() }
     }
 
     /// Borrows memory of the pages to keep decoded runs in, if there is much of it, or gives it
@@ -115,7 +118,7 @@ impl CloudMarch {
     /// Allocates a march for any packet; [`begin`](Self::begin) must be called first.
     pub(in crate::trace) fn new(packet: &Packet) -> Self {
         let packet = packet.clone();
-        Self { packet, sight: None, frontier: Frontier::default(), active: Vec::new(), rays: None }
+        Self { packet, sight: None, frontier: Frontier::default(), active: Active::default(), rays: None }
     }
 
     /// Starts a packet at the root of a cloud.
@@ -130,16 +133,20 @@ impl CloudMarch {
         self.active.clear();
         let rays = LiveRays::new(&self.packet, simd);
         let cloud = &volume.placement;
-        self.sight = cloud.local_sight(access.sight.as_ref());
-        let (packet, sight) = (&self.packet, self.sight.as_ref());
-        self.frontier.begin(PacketInCloud { access, cloud, packet, rays: &rays, sight })?;
+        let sight = cloud.local_sight(access.sight.as_ref());
+        self.sight = match volume.lod.as_deref() {
+            Some(lod) => sight.map(|sight| lod.sight(&sight)),
+            None => sight,
+        };
+        let (packet, sight, lod) = (&self.packet, self.sight.as_ref(), volume.lod.as_deref());
+        self.frontier.begin(PacketInCloud { access, cloud, packet, rays: &rays, sight, lod })?;
         self.rays = Some(rays);
         Ok(())
     }
 
     /// The first tick at or after `from` at which there may be points.
     pub(in crate::trace) fn next_tick(&self, from: u64) -> Option<u64> {
-        if self.active.iter().any(|run| run.last >= from) {
+        if self.active.reaches(from) {
             return Some(from);
         }
         self.frontier.next_tick().map(|tick| tick.max(from))
@@ -162,107 +169,55 @@ impl CloudMarch {
         let (waiting, since) = waiting;
         rays.become_rays(&self.packet, slab, live, (going, waiting));
         let (cloud, packet, sight) = (&volume.placement, &self.packet, self.sight.as_ref());
-        let place = PacketInCloud { access, cloud, packet, rays, sight };
+        let lod = volume.lod.as_deref();
+        let place = PacketInCloud { access, cloud, packet, rays, sight, lod };
         self.frontier.advance(place, slab, since, &mut self.active)?;
-        if access.follows_lines {
+        if access.follows_lines && lod.is_none() {
             self.frontier.precache(place);
         }
-        self.active.retain(|run| run.last >= since);
+        self.active.pass(since);
         if self.active.is_empty() {
             return Ok(());
         }
+        self.active.runs.sort_unstable();
+        self.active.records.sort_unstable();
         let channels = volume.shading.channels(required);
-        let known = scratch.fields.iter().position(|field| field.channels() == channels);
-        let at = known.unwrap_or_else(|| {
-            scratch.fields.push(FieldSamples::new(channels));
-            scratch.fields.len() - 1
-        });
-        let field = &mut scratch.fields[at];
-        field.clear();
+        let CloudScratch { batch, fields, spread, .. } = scratch;
+        batch.clear();
+        batch.set_sight(self.sight);
+        let gathering = Gathering { place, volume, request, lanes, cut: &self.frontier.cut };
+        let on = (packet, slab, lanes);
+        let field = field_of(fields, channels);
         let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
-        scratch.batch.clear();
-        scratch.batch.set_sight(self.sight);
-        self.gather(volume, request, lanes, &splatter, &mut scratch.batch, counts, field)?;
-        // Opacities are no depths: where a ray ends is not found by adding them.
-        let ends = request.ends.filter(|_| measure == Measure::OpticalDepth).map(|ends| &ends.depth);
-        volume.shading.transfer(field, (measure, required, simd), ends, out);
-        Ok(())
-    }
-
-    /// Adds all active runs to the samples of a slab, in the order of the file, with one page
-    /// retained at a time.
-    #[expect(clippy::too_many_arguments, reason = "the inner loop, and the room to work in")]
-    fn gather(
-        &mut self,
-        volume: &CloudVolume,
-        request: Request<'_>,
-        lanes: u64,
-        splatter: &Splatter,
-        batch: &mut RunBatch,
-        counts: &mut RenderCounts,
-        field: &mut FieldSamples,
-    ) -> Result<(), Halt> {
-        let Some(rays) = &self.rays else { return Ok(()) };
-        let CloudVolume { placement: cloud, shading } = volume;
-        self.active.sort_unstable();
-        let (slab, sight) = (request.slab, self.sight.as_ref());
-        let place = PacketInCloud { access: request.access, cloud, packet: &self.packet, rays, sight };
-        let live = request.live.0.iter().fold(0, |samples, lane| samples | lane);
-        let matters = |runs: &ActiveRuns| {
-            let (first, last) = slab.samples_at(runs.first, runs.last);
-            first < slab.samples as u64 && live & bits_between(first, last) != 0
+        let mut to = Samples { splatter, batch: &mut *batch, counts: &mut *counts, field: &mut *field };
+        gathering.runs(&self.active.runs, RunPart::Whole, &mut to)?;
+        let Some(lod) = lod else {
+            to.splat(on, request.ray_ends(&volume.shading));
+            // Opacities are no depths: where a ray ends is not found by adding them.
+            let ends = request.ends.filter(|_| measure == Measure::OpticalDepth).map(|ends| &ends.depth);
+            volume.shading.transfer(field, (measure, required, simd), ends, out);
+            return Ok(());
         };
-        // A run with several ranges of samples is added only once.
-        let mut before = None;
-        let mut at = 0;
-        while let Some(&ActiveRuns { runs: Runs { page, .. }, .. }) = self.active.get(at) {
-            let (count, needed, again) = of_first_page(&self.active[at..], slab, matters);
-            if !needed {
-                at += count;
-                continue;
-            }
-            let guard = request.access.retain_in_turn(&cloud.pages, page, slab.first_tick(), again)?;
-            let points = PointPage::trusted(&guard, cloud.header());
-            while let Some(active) = self.active.get(at).filter(|a| a.runs.page == page) {
-                let Runs { first, end, .. } = active.runs;
-                let again = before == Some(active.runs) && end - first == 1;
-                let end = if matters(active) && !again { end } else { first };
-                if first < end {
-                    before = Some(active.runs);
-                }
-                // A single run has been examined before, for all rays.
-                let is_examined = end - first == 1 && !rays.some_wait();
-                for index in usize::from(first)..usize::from(end) {
-                    if !is_examined && !rays.reach(&self.packet, &place.run_bounds(&points, index), slab) {
-                        continue;
-                    }
-                    let of = (&shading.decoder, &points.run(index), cloud.header());
-                    let key = Some(RunKey { cloud: shading.number(), page, number: index as u16 });
-                    let on = (&self.packet, slab, lanes);
-                    let mut appended = batch.append(of, key, on, splatter.simd);
-                    if appended == Appended::NoRoom {
-                        counts.splats += splatter.splat(batch, &self.packet, slab, lanes, None, field);
-                        appended = batch.append(of, key, on, splatter.simd);
-                    }
-                    counts.runs += u64::from(appended == Appended::Decoded);
-                }
-                at += 1;
-            }
-        }
-        counts.splats += splatter.splat(batch, &self.packet, slab, lanes, request.ray_ends(shading), field);
+        to.splat(on, None);
+        let channels = Channels { attributes: lod.decoder.channels(), ..channels };
+        let spread = field_of(spread, channels);
+        let splatter = Splatter { kernel: SPREAD, channels, simd };
+        let mut to = Samples { splatter, batch, counts, field: &mut *spread };
+        gathering.records(&self.active.records, &mut to)?;
+        gathering.runs(&self.active.runs, RunPart::Spread(0), &mut to)?;
+        to.splat(on, None);
+        volume.shading.transfer_spread(lod, (field, spread), (measure, required, simd), out);
         Ok(())
     }
 }
 
-/// Of active runs in the order of the file: how many are of the first one's page, whether any of
-/// these matters, and whether any goes on behind the slab.
-fn of_first_page(
-    active: &[ActiveRuns],
-    slab: Slab,
-    matters: impl Fn(&ActiveRuns) -> bool,
-) -> (usize, bool, bool) {
-    let of_page = active.iter().take_while(|runs| runs.runs.page == active[0].runs.page);
-    of_page.fold((0, false, false), |(count, needed, again), runs| {
-        (count + 1, needed || matters(runs), again || runs.last >= slab.end_tick())
-    })
+/// The field of some channels, empty.
+fn field_of(fields: &mut Vec<FieldSamples>, channels: Channels) -> &mut FieldSamples {
+    let known = fields.iter().position(|field| field.channels() == channels);
+    let at = known.unwrap_or_else(|| {
+        fields.push(FieldSamples::new(channels));
+        fields.len() - 1
+    });
+    fields[at].clear();
+    &mut fields[at]
 }

@@ -2,16 +2,23 @@
 //! for the rays in `live_rays`), the march of a packet through it (`march`), what its field looks
 //! like (`shading`), and how little of a ray that may leave (`least_absorption`).
 
+mod cut;
 mod frontier;
+mod gather;
 mod least_absorption;
 mod live_rays;
+mod lod;
 mod march;
 mod nodes;
+mod opening;
 mod placement;
+mod point_parts;
 mod shading;
+mod spread;
 mod volume;
 
 pub(super) use self::frontier::{each_own_page, run_bounds};
+pub(super) use self::lod::CloudLod;
 pub(super) use self::march::{CloudMarch, CloudScratch, Remaining, Request};
 pub(super) use self::nodes::{NodesInMemory, RetainedNodes};
 pub(super) use self::placement::CloudPlacement;

@@ -4,6 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::lod::CloudLod;
 use crate::field::{Kernel, Packet, Sight, SplatFilter};
 use crate::scene::{CloudObject, largest_stretch};
 use crate::trace::RenderError;
@@ -115,15 +116,27 @@ impl CloudPlacement {
     }
 
     /// How much farther any of its points reaches for those who see it; world space.
-    pub(in crate::trace) fn reach_world(&self, sight: Option<&Sight>) -> f64 {
-        let local = self.local_sight(sight).filter(|_| self.filter != SplatFilter::None);
-        let reach = local.map_or(0.0, |sight| self.filter.reach_in(&self.header().bounds, &sight));
+    pub(in crate::trace) fn reach_world(&self, sight: Option<&Sight>, lod: Option<&CloudLod>) -> f64 {
+        let Some(local) = self.local_sight(sight) else { return 0.0 };
+        let bounds = &self.header().bounds;
+        let reach = match lod {
+            Some(lod) => lod.reach_in(bounds, &lod.sight(&local), self.header().radius.max().into()),
+            None if self.filter != SplatFilter::None => self.filter.reach_in(bounds, &local),
+            None => 0.0,
+        };
         reach / self.least_stretch
     }
 
     /// A box in which points are, as far as they reach for those who see them; local space.
-    pub(in crate::trace) fn as_seen(&self, bounds: Aabb, sight: Option<&Sight>) -> Aabb {
+    pub(in crate::trace) fn as_seen(
+        &self,
+        bounds: Aabb,
+        (sight, lod): (Option<&Sight>, Option<&CloudLod>),
+    ) -> Aabb {
         match sight {
+            Some(sight) if let Some(lod) = lod => {
+                bounds.inflated(lod.reach_in(&bounds, sight, self.header().radius.max().into()))
+            }
             Some(sight) if self.filter != SplatFilter::None => {
                 bounds.inflated(self.filter.reach_in(&bounds, sight))
             }
@@ -189,6 +202,12 @@ impl CloudPlacement {
     pub(in crate::trace) fn pages_to_open(&self, node: &Node) -> impl Iterator<Item = u32> + use<> {
         let children = (node.child_mask != 0).then_some(self.first_node_page + node.first_child.page);
         self.own_pages(node).chain(children)
+    }
+
+    /// The first page of records of aggregates, or the last of all if there are none.
+    pub(in crate::trace) fn first_record_page(&self) -> u32 {
+        let header = self.header();
+        (header.point_pages + header.node_pages).min(header.pages().saturating_sub(1))
     }
 
     /// The error for a page that is intact but contradicts another page.

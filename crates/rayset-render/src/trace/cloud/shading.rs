@@ -25,7 +25,7 @@ use rayset_files::octree::format::Header;
 /// point.
 const LEAST_WEIGHT: f32 = 1e-12;
 
-enum Color {
+pub(super) enum Color {
     Uniform([f32; 3]),
     Points,
     /// By density, or by the attribute with this number.
@@ -39,7 +39,7 @@ enum Color {
 
 /// Where a field carries an attribute.
 #[derive(Clone, Copy)]
-enum Carried {
+pub(super) enum Carried {
     /// Averaged, in this channel.
     Mean(usize),
     /// As class labels, the one of this number.
@@ -64,7 +64,7 @@ pub(in crate::trace) struct CloudShading {
     compositing: Compositing,
     /// For each attribute of the program, its channel; `None` if the cloud does not have it.
     named: Vec<Option<Carried>>,
-    color: Color,
+    pub(super) color: Color,
     /// The density that defines the boundary.
     boundary_density: f32,
     least_weight: f32,
@@ -138,7 +138,12 @@ impl CloudShading {
 
     /// Sets the required outputs and the names of the program's attributes. Before this, only
     /// densities are carried.
-    pub(in crate::trace) fn carry(&mut self, header: &Header, required: RequiredOutputs, names: &[Arc<str>]) {
+    pub(super) fn carry(
+        &mut self,
+        header: &Header,
+        required: RequiredOutputs,
+        names: &[Arc<str>],
+    ) -> &AttributeColumns {
         let mut columns = AttributeColumns::default();
         if required.color {
             columns.color = matches!(self.color, Color::Points);
@@ -156,6 +161,7 @@ impl CloudShading {
         self.decoder =
             RunDecoder::new(header, self.kernel, self.normalised, columns.clone()).filtered(self.filter);
         self.columns = columns;
+        &self.columns
     }
 
     /// The channels that the field must carry for the required outputs.
@@ -182,24 +188,53 @@ impl CloudShading {
             return;
         }
         each_lane(field.touched, |lane| {
-            if required.color {
-                self.fill_color(field, lane, ends.map(|ends| ends[lane]), simd, out);
-            }
-            for number in numbers(required.attributes) {
-                self.fill_attribute(field, lane, number, out);
-            }
-            if required.normal || required.boundary {
-                self.fill_normal(field, lane, required, simd, out);
-            }
-            if required.material {
-                for (rows, &v) in out.material.iter_mut().zip(&self.material) {
-                    rows[lane].0.fill(v);
-                }
-            }
+            self.fill_lane(field, (lane, ends.map(|ends| ends[lane])), (required, simd), out);
         });
     }
 
-    fn fill_opacity(&self, field: &FieldSamples, measure: Measure, simd: SimdLevel, out: &mut NodeSamples) {
+    /// Fills what a lane has besides opacity, as [`transfer`](Self::transfer) does.
+    pub(super) fn fill_lane(
+        &self,
+        field: &FieldSamples,
+        (lane, end): (usize, Option<f32>),
+        (required, simd): (RequiredOutputs, SimdLevel),
+        out: &mut NodeSamples,
+    ) {
+        if required.color {
+            self.fill_color(field, lane, end, simd, out);
+        }
+        for number in numbers(required.attributes) {
+            self.fill_attribute(field, lane, number, out);
+        }
+        if required.normal || required.boundary {
+            let level = SampleRow([self.boundary_density; SLAB_SAMPLES]);
+            let of = (&field.gradient, &field.density[lane]);
+            self.fill_vectors(of, &level, (lane, required, simd), out);
+        }
+        if required.material {
+            for (rows, &v) in out.material.iter_mut().zip(&self.material) {
+                rows[lane].0.fill(v);
+            }
+        }
+    }
+
+    /// Where the field carries an attribute of the program, if the cloud has it.
+    pub(super) fn carried(&self, number: usize) -> Option<Carried> {
+        self.named.get(number).copied().flatten()
+    }
+
+    /// Whether the field carries colours as displays have them.
+    pub(super) fn are_colors_displayed(&self) -> bool {
+        self.columns.color_as_displayed
+    }
+
+    pub(super) fn fill_opacity(
+        &self,
+        field: &FieldSamples,
+        measure: Measure,
+        simd: SimdLevel,
+        out: &mut NodeSamples,
+    ) {
         let (lanes, density, rows) = (field.touched, &field.density, &mut out.opacity);
         match (&self.opacity, measure) {
             (OpacityRule::Extinction(kappa), _) => {
@@ -277,7 +312,7 @@ impl CloudShading {
     }
 
     fn fill_attribute(&self, field: &FieldSamples, lane: usize, number: usize, out: &mut NodeSamples) {
-        out.attributes[number][lane] = match self.named.get(number).copied().flatten() {
+        out.attributes[number][lane] = match self.carried(number) {
             Some(carried) => self.value(field, lane, carried),
             None => SampleRow([0.0; SLAB_SAMPLES]),
         };
@@ -302,18 +337,19 @@ impl CloudShading {
         SampleRow(std::array::from_fn(|j| if defined(j) { sum[j] / density[j] } else { 0.0 }))
     }
 
-    fn fill_normal(
+    /// Fills shading vectors and distances to the boundary of a lane, of a field with this gradient:
+    /// the boundary is where it has a level.
+    pub(super) fn fill_vectors(
         &self,
-        field: &FieldSamples,
-        lane: usize,
-        required: RequiredOutputs,
-        simd: SimdLevel,
+        (gradient, field): (&[Vec<SampleRow>; 3], &SampleRow),
+        level: &SampleRow,
+        (lane, required, simd): (usize, RequiredOutputs, SimdLevel),
         out: &mut NodeSamples,
     ) {
         // Gradients are transformed by the transpose of the inverse; the shading vector points to
         // lower density.
-        let [mut x, mut y, mut z] = field.gradient.each_ref().map(|rows| rows[lane]);
-        let boundary = required.boundary.then_some((&field.density[lane], self.boundary_density));
+        let [mut x, mut y, mut z] = gradient.each_ref().map(|rows| rows[lane]);
+        let boundary = required.boundary.then_some((field, level));
         let distance =
             dispatch!(simd.level(), _simd => to_world(&self.normal_map, &mut x, &mut y, &mut z, boundary));
         if required.boundary {
@@ -352,7 +388,7 @@ fn to_world(
     x: &mut SampleRow,
     y: &mut SampleRow,
     z: &mut SampleRow,
-    boundary: Option<(&SampleRow, f32)>,
+    boundary: Option<(&SampleRow, &SampleRow)>,
 ) -> SampleRow {
     for j in 0..SLAB_SAMPLES {
         let g = [x.0[j], y.0[j], z.0[j]];
@@ -363,7 +399,7 @@ fn to_world(
     if let Some((density, level)) = boundary {
         for j in 0..SLAB_SAMPLES {
             let slope = (x.0[j] * x.0[j] + y.0[j] * y.0[j] + z.0[j] * z.0[j]).sqrt();
-            distance.0[j] = (level - density.0[j]) / slope;
+            distance.0[j] = (level.0[j] - density.0[j]) / slope;
         }
     }
     normalize(x, y, z);
@@ -391,7 +427,7 @@ fn optical_depth_of_extinction(
 }
 
 #[inline(always)]
-fn opacity_of_optical_depth(mut lanes: u64, rows: &mut Rows) {
+pub(super) fn opacity_of_optical_depth(mut lanes: u64, rows: &mut Rows) {
     while lanes != 0 {
         let lane = lanes.trailing_zeros() as usize;
         lanes &= lanes - 1;

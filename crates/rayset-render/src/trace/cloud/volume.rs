@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
+use super::lod::CloudLod;
 use super::placement::CloudPlacement;
 use super::shading::CloudShading;
-use crate::scene::{CloudObject, Scene};
-use crate::trace::node_samples::MATERIAL;
+use crate::scene::{CloudObject, Lod, Scene};
+use crate::trace::node_samples::{MATERIAL, RequiredOutputs};
 use crate::trace::unopened::Unopened;
 use rayset_base::geometry::DAffine3;
 use rayset_files::PagedFiles;
@@ -15,29 +16,42 @@ use rayset_store::working_set::Object;
 pub(in crate::trace) struct CloudVolume<P = Arc<Object>> {
     pub(in crate::trace) placement: CloudPlacement<P>,
     pub(in crate::trace) shading: CloudShading,
+    /// If it may be seen from afar.
+    pub(in crate::trace) lod: Option<Box<CloudLod>>,
 }
 
 impl CloudVolume<Unopened> {
     pub(in crate::trace) fn new(
         object: &CloudObject,
         world_from_local: &DAffine3,
-        scene: &Scene,
+        (scene, lod): (&Scene, Lod),
         material: [f32; MATERIAL],
     ) -> Self {
         let placement = CloudPlacement::new(object, world_from_local);
         let shading = CloudShading::new(object, placement.local_from_world(), scene, material);
-        Self { placement, shading }
+        let lod = CloudLod::new(object, world_from_local, scene, lod).map(Box::new);
+        Self { placement, shading, lod }
+    }
+
+    /// Sets what fields carry, for the required outputs and the names of the program's attributes.
+    pub(in crate::trace) fn carry(&mut self, required: RequiredOutputs, names: &[Arc<str>]) {
+        let columns = self.shading.carry(self.placement.header(), required, names);
+        if let Some(lod) = &mut self.lod {
+            lod.carry(columns);
+        }
     }
 
     /// With its pages in a working set; `None` if they are in none.
     pub(in crate::trace) fn open(self, paged: &PagedFiles) -> Option<CloudVolume> {
-        Some(CloudVolume { placement: self.placement.open(paged)?, shading: self.shading })
+        Some(CloudVolume { placement: self.placement.open(paged)?, shading: self.shading, lod: self.lod })
     }
 }
 
 impl<P> CloudVolume<P> {
     /// Bytes that it takes.
     pub(in crate::trace) fn bytes(&self) -> usize {
-        size_of::<CloudVolume>() + self.shading.bytes()
+        size_of::<CloudVolume>()
+            + self.shading.bytes()
+            + self.lod.as_ref().map_or(0, |lod| size_of::<CloudLod>() + lod.bytes())
     }
 }

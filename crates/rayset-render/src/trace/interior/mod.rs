@@ -103,7 +103,7 @@ fn votes_of(
     };
     let alone = Scene { root: node.clone(), ..scene.clone() };
     let program = Program::compile(&alone, Purpose::Surface, engine.exec.simd).open(files)?;
-    let steps = StepRule::new(&program, settings)?;
+    let steps = StepRule::new(&program, settings, None)?;
     let (votes, axes) = count::count(engine, program, steps, lattice)?;
     if let Some(why) = why_open(axes) {
         return Ok(Err(why));

@@ -67,6 +67,8 @@ impl Foresight {
         let (mut clouds, mut grids) = (Vec::new(), Vec::new());
         for (at, instruction) in program.instructions.iter().enumerate() {
             match &instruction.action {
+                // What is seen from afar needs few pages.
+                Action::Cloud(volume) if volume.lod.is_some() => {}
                 Action::Cloud(volume) if volume.placement.header().points > 0 => {
                     let stop = if expects.careful && !ends[at] { 0.0 } else { stop };
                     let expected = Expected::new(&volume.shading, stop, expects);

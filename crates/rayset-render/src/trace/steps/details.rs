@@ -3,7 +3,7 @@
 use super::chords::{Chord, Part, Place};
 use super::octree::CloudDetails;
 use super::{
-    ASKED_THEMSELVES, CloudPlacement, GRID_DETAIL, Packet, Ray, SCATTERED, Scale, Slab, StepRule, is_solid,
+    ASKED_THEMSELVES, CloudVolume, GRID_DETAIL, Packet, Ray, SCATTERED, Scale, Slab, StepRule, is_solid,
 };
 use crate::field::LANES;
 use crate::trace::access::{Access, Halt};
@@ -193,13 +193,12 @@ impl DetailedObject {
         let instruction = &place.program.instructions[self.at];
         let StepRule { scale, floors, .. } = *place.rule;
         match &instruction.action {
-            Action::Cloud(volume) if !is_one_by_bounds(&volume.placement, &scale) => {
-                let cloud = &volume.placement;
+            Action::Cloud(volume) if !is_one_by_bounds(volume, &scale, place.access.sight.is_some()) => {
                 if let LookedAt::Nodes(nodes) = &mut self.looked_at {
-                    return nodes.look(place, cloud, part, (going, open), chords);
+                    return nodes.look(place, volume, part, (going, open), chords);
                 }
-                let mut nodes = Box::new(CloudDetails::begin(place, cloud, &instruction.object_bounds)?);
-                let outcome = nodes.look(place, cloud, part, (going, open), chords);
+                let mut nodes = Box::new(CloudDetails::begin(place, volume, &instruction.object_bounds)?);
+                let outcome = nodes.look(place, volume, part, (going, open), chords);
                 self.looked_at = LookedAt::Nodes(nodes);
                 return outcome;
             }
@@ -243,7 +242,11 @@ fn add_whole(
 
 /// Whether the bounds of a cloud say where which steps are needed: its points have one detail, and
 /// are not both scattered and far finer than everything else.
-fn is_one_by_bounds(cloud: &CloudPlacement, scale: &Scale) -> bool {
+fn is_one_by_bounds(volume: &CloudVolume, scale: &Scale, is_seen: bool) -> bool {
+    if is_seen && volume.lod.is_some() {
+        return false;
+    }
+    let cloud = &volume.placement;
     let header = cloud.header();
     let (least, most) = cloud.details;
     let scattered = !cloud.are_splats && header.bounds.size().max_element() > SCATTERED * f64::from(most);

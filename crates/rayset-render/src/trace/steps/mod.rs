@@ -19,12 +19,12 @@ mod details;
 mod local_rays;
 mod octree;
 
-use super::cloud::CloudPlacement;
+use super::cloud::{CloudLod, CloudPlacement, CloudVolume};
 use super::program::{Action, Program};
 use super::{RenderError, SettingError};
-use crate::field::{Packet, SLAB_SAMPLES, Slab};
+use crate::field::{Packet, SLAB_SAMPLES, Sight, Slab};
 use crate::scene::{FINEST_DETAIL, MOST_STEPS, MOST_STEPS_IN_SOLIDS, RenderSettings, Step, largest_stretch};
-use rayset_base::geometry::{Aabb, Ray};
+use rayset_base::geometry::{Aabb, DVec3, Ray};
 
 pub(super) use self::details::Details;
 
@@ -43,6 +43,10 @@ const ASKED_THEMSELVES: i32 = -4;
 /// In a grid a step is a fraction of this many voxel spacings: half a spacing if the fraction is a
 /// quarter.
 const GRID_DETAIL: f64 = 2.0;
+
+/// Where points are seen from afar, steps are a fraction of no less than this many pixels: what is
+/// seen is as wide as a pixel.
+const PIXEL_DETAIL: f64 = 0.7;
 
 /// A sample within so many steps behind a boundary is lit at the boundary: it would otherwise
 /// shadow itself, to a degree that depends on how the lattice of samples happens to lie.
@@ -98,7 +102,13 @@ struct Floors {
 }
 
 impl StepRule {
-    pub(super) fn new(program: &Program, settings: &RenderSettings) -> Result<Self, RenderError> {
+    /// Of a picture with a sight, the steps of its rays from the eye; otherwise those of rays that
+    /// see nothing from afar.
+    pub(super) fn new(
+        program: &Program,
+        settings: &RenderSettings,
+        sight: Option<&Sight>,
+    ) -> Result<Self, RenderError> {
         let within = program.instructions[program.root()].bounds;
         let diagonal = |bounds: Aabb| if bounds.is_empty() { 0.0 } else { bounds.size().length() };
         let solids = program.instructions.iter().filter(|i| is_solid(&i.action));
@@ -107,13 +117,15 @@ impl StepRule {
         let floor = around_solids * FINEST_DETAIL;
         let details = program.instructions.iter().map(|i| {
             let held = if is_solid(&i.action) { floor } else { 0.0 };
-            details_of(&i.action).map(|(least, largest)| (least.max(held), largest.max(held)))
+            details_of(&i.action, sight).map(|(least, largest)| (least.max(held), largest.max(held)))
         });
         let details: Vec<Option<(f64, f64)>> = details.collect();
         let longest = details.iter().flatten().map(|d| d.1).filter(|d| d.is_finite()).fold(0.0, f64::max);
         let (coarsest, varies) = match settings.step {
             Step::Fixed(step) => (step, false),
-            Step::Automatic { fraction } if longest > 0.0 => (longest * fraction, may_differ(program)),
+            Step::Automatic { fraction } if longest > 0.0 => {
+                (longest * fraction, may_differ(program, sight.is_some()))
+            }
             // The scene has nothing to derive a step from.
             Step::Automatic { .. } => (1.0, false),
         };
@@ -191,12 +203,16 @@ impl StepRule {
 
 /// The least and the largest detail of an object along any ray: the length that steps are to be a
 /// fraction of.
-fn details_of(action: &Action) -> Option<(f64, f64)> {
+fn details_of(action: &Action, sight: Option<&Sight>) -> Option<(f64, f64)> {
     match action {
         Action::Cloud(volume) => {
             let cloud = &volume.placement;
             let stretch = cloud.local_from_world().map_or(1.0, largest_stretch);
-            Some((f64::from(cloud.details.0) / stretch, cloud.largest_detail_world()))
+            let points = (f64::from(cloud.details.0) / stretch, cloud.largest_detail_world());
+            let Some(pixels) = PixelDetail::of(volume, sight) else { return Some(points) };
+            let (least, most) = pixels.range_in(&cloud.header().bounds);
+            // Of the same scale in all directions.
+            Some((points.0.max(least / stretch), points.1.max(most / stretch)))
         }
         Action::Procedural(volume) => Some((volume.least_detail_world(), volume.largest_detail_world())),
         Action::Grid(volume) => {
@@ -208,8 +224,9 @@ fn details_of(action: &Action) -> Option<(f64, f64)> {
 
 /// Whether steps may differ from place to place: not if there is but one object, which is no cloud,
 /// or whose points have one radius along any ray.
-pub(super) fn may_differ<P>(program: &Program<P>) -> bool {
+pub(super) fn may_differ<P>(program: &Program<P>, is_seen: bool) -> bool {
     let mut objects = program.instructions.iter().filter_map(|instruction| match &instruction.action {
+        Action::Cloud(volume) if is_seen && volume.lod.is_some() => Some(false),
         Action::Cloud(volume) => {
             let (least, most) = volume.placement.details;
             Some(least == most && volume.placement.local_from_world().is_none())
@@ -218,6 +235,38 @@ pub(super) fn may_differ<P>(program: &Program<P>) -> bool {
         Action::Operator(..) => None,
     });
     objects.next() == Some(false) || objects.next().is_some()
+}
+
+/// The least details of a cloud that is seen from afar, by where it is; in the cloud's space.
+#[derive(Clone, Copy)]
+struct PixelDetail<'a> {
+    lod: &'a CloudLod,
+    sight: Sight,
+    radius_max: f64,
+}
+
+impl<'a> PixelDetail<'a> {
+    /// `None` if the cloud is not seen from afar.
+    fn of(volume: &'a CloudVolume, sight: Option<&Sight>) -> Option<Self> {
+        let lod = volume.lod.as_deref()?;
+        let sight = lod.sight(&volume.placement.local_sight(sight)?);
+        Some(Self { lod, sight, radius_max: volume.placement.header().radius.max().into() })
+    }
+
+    /// The least and the largest anywhere in a box.
+    fn range_in(&self, bounds: &Aabb) -> (f64, f64) {
+        let (least, most) = (self.sight.least_pixel_in(bounds), self.sight.largest_pixel_in(bounds));
+        (PIXEL_DETAIL * least, PIXEL_DETAIL * most)
+    }
+
+    fn at(&self, place: DVec3) -> f64 {
+        PIXEL_DETAIL * self.sight.pixel_at(place)
+    }
+
+    /// A box of points as far as these reach.
+    fn as_seen(&self, bounds: Aabb) -> Aabb {
+        bounds.inflated(self.lod.reach_in(&bounds, &self.sight, self.radius_max))
+    }
 }
 
 /// Whether every sample in the bounds of an object is evaluated, empty or not.

@@ -14,7 +14,7 @@ use fearless_simd::prelude::*;
 
 use super::chords::{Chord, Part, Place};
 use super::local_rays::{Clipped, LocalRays};
-use super::{ASKED_THEMSELVES, CloudPlacement, Packet, SCATTERED, StepRule};
+use super::{ASKED_THEMSELVES, CloudPlacement, CloudVolume, Packet, PixelDetail, SCATTERED, StepRule};
 use crate::field::{LANES, SimdLevel, dispatch};
 use crate::trace::access::{Access, Halt};
 use crate::trace::cloud::{RetainedNodes, each_own_page, run_bounds};
@@ -73,12 +73,16 @@ impl CloudDetails {
 
     /// Starts at the root.
     /// `bounds` are those of the object, world space.
-    pub(super) fn begin(place: Place<'_>, cloud: &CloudPlacement, bounds: &Aabb) -> Result<Self, Halt> {
+    pub(super) fn begin(place: Place<'_>, volume: &CloudVolume, bounds: &Aabb) -> Result<Self, Halt> {
+        let cloud = &volume.placement;
         let rays = LocalRays::new(place.rays, cloud, place.program.simd);
+        let sight = place.access.sight.as_ref();
+        let bounds = bounds.inflated(cloud.reach_world(sight, volume.lod.as_deref()));
         let within = place.rays.iter().map(|ray| bounds.clip(ray)).collect();
         let mut details = Self { rays, within, ahead: Ahead::default(), walk: Walk::new() };
         let Self { rays, ahead, walk, .. } = &mut details;
-        let mut meeting = Meeting { packet: place.packet, rule: place.rule, cloud, rays, ahead };
+        let pixels = PixelDetail::of(volume, sight);
+        let mut meeting = Meeting { packet: place.packet, rule: place.rule, cloud, rays, ahead, pixels };
         let mut nodes = RetainedNodes { access: place.access, cloud };
         walk.begin(
             &mut nodes,
@@ -92,13 +96,14 @@ impl CloudDetails {
     pub(super) fn look(
         &mut self,
         place: Place<'_>,
-        cloud: &CloudPlacement,
+        volume: &CloudVolume,
         part: Part,
         (going, open): (u64, u64),
         chords: &mut Vec<Chord>,
     ) -> Result<(), Halt> {
         let Self { rays, within, ahead, walk } = self;
-        let mut meeting = Meeting { packet: place.packet, rule: place.rule, cloud, rays, ahead };
+        let (cloud, pixels) = (&volume.placement, PixelDetail::of(volume, place.access.sight.as_ref()));
+        let mut meeting = Meeting { packet: place.packet, rule: place.rule, cloud, rays, ahead, pixels };
         let mut nodes = RetainedNodes { access: place.access, cloud };
         let search =
             Some(Search { part, going, open, within, chords, latest: [usize::MAX; LANES], visited: None });
@@ -119,6 +124,8 @@ struct Meeting<'t> {
     cloud: &'t CloudPlacement,
     rays: &'t LocalRays,
     ahead: &'t mut Ahead,
+    /// If the cloud is seen from afar.
+    pixels: Option<PixelDetail<'t>>,
 }
 
 /// What is looked for.
@@ -147,8 +154,9 @@ struct Looking<'t, 'm, 'a> {
 
 impl<'a> Visitor<RetainedNodes<'a>> for Looking<'_, '_, 'a> {
     fn meet(&mut self, node: Node) {
-        let Meeting { packet, cloud, rays, ahead, .. } = &mut *self.meeting;
+        let Meeting { packet, cloud, rays, ahead, pixels, .. } = &mut *self.meeting;
         let bounds = node.bounds(cloud.root_cell);
+        let bounds = pixels.map_or(bounds, |pixels| pixels.as_seen(bounds));
         let bounds = self.within.map_or(bounds, |within| bounds.intersection(within));
         if bounds.is_empty() {
             return;
@@ -184,6 +192,11 @@ impl<'a> Visitor<RetainedNodes<'a>> for Looking<'_, '_, 'a> {
         let near = rays.clip(&bounds, search.going);
         if near.lanes & search.open == 0 {
             self.meeting.ahead.aside.push(visited);
+            return Ok(Visit::Skip);
+        }
+        if self.meeting.is_one_from_afar(node, &bounds) {
+            let detail = self.meeting.least_detail(node, f64::from(node.detail_min));
+            self.meeting.add_box(&near, detail, search);
             return Ok(Visit::Skip);
         }
         self.within = Some(bounds);
@@ -225,7 +238,30 @@ impl Search<'_> {
 impl Meeting<'_> {
     /// The least k that a node and what is below it ask for on any ray.
     fn finest_in(&self, node: &Node) -> i32 {
-        self.rule.scale.of(f64::from(node.detail_min) / self.rays.stretches.1)
+        self.rule.scale.of(self.least_detail(node, f64::from(node.detail_min)) / self.rays.stretches.1)
+    }
+
+    /// A detail of a node, or that of a pixel if it is seen from afar.
+    fn least_detail(&self, node: &Node, detail: f64) -> f64 {
+        let Some(pixels) = &self.pixels else { return detail };
+        pixels.range_in(&node.bounds(self.cloud.root_cell)).0.max(detail)
+    }
+
+    /// The largest detail of a node's points.
+    fn largest_detail(&self, node: &Node) -> f64 {
+        let detail = f64::from(node.detail_max);
+        let Some(pixels) = &self.pixels else { return detail };
+        pixels.range_in(&node.bounds(self.cloud.root_cell)).1.max(detail)
+    }
+
+    /// Whether a node and all that is below it ask for about the same steps in a box that is hardly
+    /// wider than a cell of these, from afar.
+    fn is_one_from_afar(&self, node: &Node, bounds: &Aabb) -> bool {
+        let (scale, stretch) = (&self.rule.scale, self.cloud.least_stretch());
+        let k = scale.of(self.least_detail(node, f64::from(node.detail_min)) / stretch);
+        self.pixels.is_some()
+            && k + 1 >= scale.of(self.largest_detail(node) / stretch)
+            && bounds.size().max_element() <= LONGEST_WHOLE * self.rule.cell_world(k) * stretch
     }
 
     /// Adds the chords of a node's own points.
@@ -247,13 +283,14 @@ impl Meeting<'_> {
             let cell = cloud.root_cell.size * 2_f64.powi(-i32::from(node.level) - 1);
             own = f64::from(cell as f32).max(own);
         }
+        own = self.least_detail(node, own);
         if scale.of(own / rays.stretches.1) >= 0 {
             return Ok(());
         }
         // Of all rays together: what is divided must not depend on who else is in the packet.
         let stretch = cloud.least_stretch();
         let k = scale.of(own / stretch);
-        let is_one = k + 1 >= scale.of(f64::from(node.detail_max) / stretch);
+        let is_one = k + 1 >= scale.of(self.largest_detail(node) / stretch);
         let is_short = bounds.size().max_element() <= LONGEST_WHOLE * self.rule.cell_world(k) * stretch;
         if (is_one || is_short) && !self.is_scattered(bounds, own) {
             self.add_box(near, own, search);
@@ -265,7 +302,9 @@ impl Meeting<'_> {
         let mut groups = RunGroups::new(cloud, rays.simd);
         each_own_page(access, cloud, node, |_, points, runs| {
             for index in runs {
-                let near = rays.clip(&run_bounds(cloud, points, index), near.lanes).lanes;
+                let of_run = run_bounds(cloud, points, index);
+                let of_run = self.pixels.map_or(of_run, |pixels| pixels.as_seen(of_run));
+                let near = rays.clip(&of_run, near.lanes).lanes;
                 if near != 0 {
                     groups.decode(&points.run(index));
                     groups.each(|group| self.add_group(&group, bounds, near, search));
@@ -299,22 +338,30 @@ impl Meeting<'_> {
 
     /// Adds the chords of a group of points.
     fn add_group(&self, group: &Group<'_>, of_node: &Aabb, near: u64, search: &mut Search<'_>) {
-        let bounds = group.bounds.intersection(*of_node);
+        let bounds = self.pixels.map_or(group.bounds, |pixels| pixels.as_seen(group.bounds));
+        let bounds = bounds.intersection(*of_node);
         if bounds.is_empty() || self.rays.beam.span(&bounds).is_none() {
             return;
         }
         let near = self.rays.clip(&bounds, near);
-        if self.is_scattered(&bounds, group.least_detail) {
+        let of_pixels = self.pixels.map_or(0.0, |pixels| pixels.range_in(&bounds).0);
+        let least_detail = group.least_detail.max(of_pixels);
+        if self.is_scattered(&bounds, least_detail) {
             group.points().for_each(|point| self.add_point(point, &near, search));
         } else {
-            self.add_box(&near, group.least_detail, search);
+            self.add_box(&near, least_detail, search);
         }
     }
 
     /// Adds the chords of rays through the sphere of a point's radius, in the cloud's space, as far
     /// as they are in the box of its group.
     fn add_point(&self, point: GroupPoint, group: &Clipped, search: &mut Search<'_>) {
-        let GroupPoint { position, radius, detail } = point;
+        let GroupPoint { position, mut radius, mut detail } = point;
+        if let Some(pixels) = &self.pixels {
+            let pixel = pixels.at(position);
+            // A Gaussian as wide as a pixel is there, too.
+            (radius, detail) = (radius + 2.0 * pixel, detail.max(pixel));
+        }
         each_lane(group.lanes, |lane| {
             // The unit direction in local space, for the squared distance to the ray's line.
             let (ray, stretch) = (&self.rays.rays[lane], self.rays.stretch[lane]);

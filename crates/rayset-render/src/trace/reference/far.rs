@@ -1,18 +1,13 @@
 //! What is seen of a cloud from afar, in `f64`: the cut through its aggregates for a picture, and
 //! the light that is absorbed along each ray. It is the judge of level of detail, and slow.
 //!
-//! A node or a cell of edge e, where a pixel is ρ wide, stands for its points by the part
-//! S(log₂(ρ/e) + ½), with S the smoothstep; what is below it has the rest. So its part grows where
-//! ρ does from 0.7 e to 1.4 e, and every point is seen once altogether. Which cells of a leaf stand
-//! for its points follows from the leaf's place: those of one level, and of the next. A point that
-//! is seen by itself is a density by S(log₂(r/ρ)), and a Gaussian like aggregates by the rest.
-
-mod closure;
+//! Which cells of a leaf stand for its points follows from the leaf's place: those of one level, and
+//! of the next.
 
 use std::ops::Range;
 
-use self::closure::{Absorber, Seen, Sums};
 use crate::field::Sight;
+use crate::lod::{Absorber, CrossSections, LEAST_PART, SPREAD, Seen, Sums, density_part, part_of_cell};
 use crate::scene::{Camera, CloudObject};
 use rayset_base::geometry::{DMat3, DVec3, Ray, Shape};
 use rayset_files::octree::Cloud;
@@ -24,21 +19,10 @@ use rayset_files::paged_file::HasPages;
 use rayset_store::container::ScanError;
 use rayset_store::working_set::Kind;
 
-/// Gaussians end at so many deviations.
-const DEVIATIONS: f64 = 3.2;
 /// Distance between samples, in pixels.
 const STEP: f64 = 0.17;
 /// The same, at least, in parts of the way.
 const LEAST_STEP: f64 = 1e-5;
-/// Least part that is not left out.
-const LEAST_PART: f64 = 1e-6;
-
-/// S(x) of x from 0 to 1.
-fn smoothstep(x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0);
-    x * x * (3.0 - 2.0 * x)
-}
-
 /// A point that is seen by itself.
 #[derive(Clone, Copy, Debug)]
 struct SolidPoint {
@@ -72,6 +56,7 @@ pub struct Far {
     file: File,
     object: CloudObject,
     unit_distance: f64,
+    sections: CrossSections,
     sight: Sight,
 }
 
@@ -95,7 +80,10 @@ impl Far {
         let sight = camera.ray_maker(width, height).expect("a valid camera").sight();
         let sight = Sight { pixel: sight.pixel * factor, ..sight };
         let (gaussians, densities) = (Vec::new(), Vec::new());
-        let mut far = Self { gaussians, densities, file, object: object.clone(), unit_distance, sight };
+        let kernel = (object.kernel.integral(), object.kernel.variance());
+        let sections = CrossSections::new(kernel, |d| object.transfer.opacity.extinction(d, unit_distance));
+        let object = object.clone();
+        let mut far = Self { gaussians, densities, file, object, unit_distance, sections, sight };
         let root = far.object.cloud.header().root;
         let node = far.file.nodes[root.page as usize][usize::from(root.index)];
         far.node(&node, Some(0), 1.0, 0.0);
@@ -124,20 +112,14 @@ impl Far {
         self.file.root.size * 0.5_f64.powi(level as i32)
     }
 
-    /// The part by which a cell with this edge stands for its points.
-    fn part(&self, edge: f64, pixel: f64) -> f64 {
-        smoothstep((pixel / edge).log2() + 0.5)
-    }
-
     /// Adds an aggregate by a part; returns its cross-section for a unit of mass.
     fn aggregate(&mut self, number: u32, part: f64) -> f64 {
         let aggregate = self.file.records[number as usize];
-        let kernel = (self.object.kernel.integral(), self.object.kernel.variance());
-        let absorber = Absorber::of(&aggregate, kernel, self.g());
+        let absorber = Absorber::of(&aggregate, &self.sections);
         if part > LEAST_PART {
             self.see(&absorber, part);
         }
-        absorber.cross_section / (kernel.0 * aggregate.mass)
+        absorber.cross_section / absorber.mass
     }
 
     fn see(&mut self, absorber: &Absorber, part: f64) {
@@ -154,7 +136,7 @@ impl Far {
         let mut pixel = None;
         if let Some(number) = record {
             let here = self.sight.pixel_at(self.file.records[number as usize].centroid);
-            let own = self.part(self.edge(node.level.into()), here);
+            let own = part_of_cell(self.edge(node.level.into()), here);
             of_mass = self.aggregate(number, part * own);
             below = part * (1.0 - own);
             pixel = Some(here);
@@ -214,7 +196,7 @@ impl Far {
             };
             cells = cells.iter().flat_map(children).collect();
             let edge = self.edge(level);
-            let here = left * self.part(edge, pixel);
+            let here = left * part_of_cell(edge, pixel);
             left -= here;
             for &cell in &cells {
                 let of_mass = self.aggregate(cell, here);
@@ -239,7 +221,7 @@ impl Far {
     fn point(&mut self, index: usize, part: f64, of_mass: f64) {
         let point = self.file.points[index];
         let pixel = self.sight.pixel_at(point.position);
-        let as_density = smoothstep((point.radius / pixel).log2());
+        let as_density = density_part(point.radius, pixel);
         if part * as_density > LEAST_PART {
             self.densities.push(SolidPoint { weight: point.weight * part * as_density, ..point });
         }
@@ -315,34 +297,33 @@ struct Chord {
     /// Distances along the ray.
     from: f64,
     to: f64,
-    /// Where the ray is nearest to the middle, how its exponent grows from there, and its share for
-    /// a unit of volume there.
+    /// Where the ray is nearest to the middle, by how much the square of its distance in radii grows
+    /// from there, and that square there; and the share of the middle for a unit of volume.
     nearest: f64,
     growth: f64,
+    least: f64,
     share: f64,
 }
 
 impl Chord {
     fn of((part, seen): &(f64, Seen), ray: &Ray) -> Option<Self> {
         let turned = seen.axes.transpose();
-        let deviations = DVec3::from_array(seen.variances.to_array().map(f64::sqrt));
-        let (o, d) = (turned * (ray.origin - seen.center) / deviations, turned * ray.direction / deviations);
+        let radii = DVec3::from_array(seen.variances.to_array().map(|v| (v / SPREAD.variance()).sqrt()));
+        let (o, d) = (turned * (ray.origin - seen.center) / radii, turned * ray.direction / radii);
         let growth = d.length_squared();
         let nearest = -o.dot(d) / growth;
         let least = (o + d * nearest).length_squared();
-        let inside = DEVIATIONS * DEVIATIONS - least;
-        if inside <= 0.0 {
+        if least >= 1.0 {
             return None;
         }
-        let half = (inside / growth).sqrt();
-        let normalised = std::f64::consts::TAU.powf(-1.5) / deviations.element_product();
-        let share = part * normalised * (-0.5 * least).exp();
-        Some(Self { seen: *seen, from: nearest - half, to: nearest + half, nearest, growth, share })
+        let half = ((1.0 - least) / growth).sqrt();
+        let share = part / (SPREAD.integral() * radii.element_product());
+        Some(Self { seen: *seen, from: nearest - half, to: nearest + half, nearest, growth, least, share })
     }
 
     fn share_at(&self, at: f64) -> f64 {
         let way = at - self.nearest;
-        self.share * (-0.5 * self.growth * way * way).exp()
+        self.share * SPREAD.value(self.least + self.growth * way * way)
     }
 }
 

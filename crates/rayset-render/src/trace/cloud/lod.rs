@@ -1,0 +1,173 @@
+//! A cloud as it is seen from afar: whether it can be, and its records of aggregates.
+
+use super::placement::CloudPlacement;
+use crate::field::{AttributeColumns, FarDecoder, Kernel, Sight};
+use crate::lod::CrossSections;
+use crate::scene::{CloudObject, ColorRule, Lod, MapInput, Scene, largest_stretch};
+use crate::trace::access::{Access, Halt};
+use rayset_base::geometry::{Aabb, DAffine3, DMat3};
+use rayset_files::octree::aggregates::{Aggregate, AggregateHeader, AggregatePage, CellPlace};
+use rayset_store::working_set::PageGuard;
+
+/// How far a Gaussian with the variance of what is in a box may reach beyond the box, in widths of
+/// the box: of a spread that ends at 3.1 deviations.
+const BEYOND: f64 = 1.15;
+/// How far a Gaussian reaches from its middle, in widths of the box that its mass is in.
+const FROM_MIDDLE: f64 = 1.55;
+/// How much farther each reaches because it is as wide as a pixel, in pixels.
+const OF_PIXEL: f64 = 1.2;
+/// The edge of cells that are seen in place of their points, at most, in pixels.
+const WIDEST_CELL: f64 = std::f64::consts::SQRT_2;
+
+/// What is needed to see a cloud from afar.
+pub(in crate::trace) struct CloudLod {
+    /// How wide pixels are taken to be.
+    factor: f64,
+    pub(super) aggregates: AggregateHeader,
+    pub(super) decoder: FarDecoder,
+    /// Length in local space of a unit of world space.
+    pub(super) stretch: f64,
+}
+
+impl CloudLod {
+    /// `None` if every point of the object is seen.
+    pub(super) fn new(
+        object: &CloudObject,
+        world_from_local: &DAffine3,
+        scene: &Scene,
+        lod: Lod,
+    ) -> Option<Self> {
+        let Lod::Footprint(factor) = lod else { return None };
+        let header = object.cloud.header();
+        let aggregates = header.aggregates.clone()?;
+        let is_for_it = aggregates.kernel == object.kernel && aggregates.normalised == object.normalised;
+        let is_as_built = header.radius_scale == 1.0 && header.weight.min() >= 0.0;
+        if !is_for_it || !is_as_built || object.kernel == Kernel::Splat || !keeps_angles(world_from_local) {
+            return None;
+        }
+        let stretch = 1.0 / largest_stretch(world_from_local);
+        let opacity = &object.transfer.opacity;
+        let g = |density: f64| opacity.extinction(density, scene.unit_distance) / stretch;
+        let sections = CrossSections::new((object.kernel.integral(), object.kernel.variance()), g);
+        let decoder = match &object.transfer.color {
+            ColorRule::Map { map, input: MapInput::Density } => {
+                let color = |density: f64| map.color(density).map(|v| v as f32);
+                FarDecoder::new(sections.with_colors(g, color), true)
+            }
+            _ => FarDecoder::new(sections, false),
+        };
+        Some(Self { factor: factor.into(), aggregates, decoder, stretch })
+    }
+
+    /// Sets which attributes fields carry.
+    pub(in crate::trace) fn carry(&mut self, columns: &AttributeColumns) {
+        self.decoder.carrying(columns);
+    }
+
+    /// Bytes that it takes besides itself.
+    pub(super) fn bytes(&self) -> usize {
+        self.decoder.bytes()
+    }
+
+    /// With pixels as wide as they are taken to be.
+    pub(in crate::trace) fn sight(&self, sight: &Sight) -> Sight {
+        Sight { pixel: sight.pixel * self.factor, ..*sight }
+    }
+
+    /// How far what is seen of points in a box may reach beyond it, with points of radii up to one.
+    pub(in crate::trace) fn reach_in(&self, bounds: &Aabb, sight: &Sight, radius_max: f64) -> f64 {
+        let pixel = sight.largest_pixel_in(bounds);
+        let cell = WIDEST_CELL * pixel;
+        let width = bounds.size().max_element().min(cell + 2.0 * cell.min(radius_max));
+        BEYOND * width + OF_PIXEL * pixel
+    }
+
+    /// Where cells reach whose centroids are in a box, with points of radii up to one.
+    pub(super) fn around_cells(
+        &self,
+        centroids: &Aabb,
+        (edge, radius_max): (f64, f64),
+        sight: &Sight,
+    ) -> Aabb {
+        let width = edge + 2.0 * edge.min(radius_max);
+        centroids.inflated(FROM_MIDDLE * width + OF_PIXEL * sight.largest_pixel_in(centroids))
+    }
+}
+
+/// Whether a map is a rotation with the same scale in all directions.
+fn keeps_angles(map: &DAffine3) -> bool {
+    let product = map.matrix3.transpose() * map.matrix3;
+    let scale = product.x_axis.x;
+    let off =
+        (product - DMat3::IDENTITY * scale).to_cols_array().into_iter().fold(0.0, |a: f64, v| a.max(v.abs()));
+    off <= 1e-6 * scale
+}
+
+/// The records of a cloud's aggregates, of which one page is held at a time.
+pub(super) struct RecordPages<'a> {
+    access: Access<'a>,
+    cloud: &'a CloudPlacement,
+    aggregates: &'a AggregateHeader,
+    held: Option<(u32, PageGuard)>,
+}
+
+impl<'a> RecordPages<'a> {
+    pub(super) fn new(access: Access<'a>, cloud: &'a CloudPlacement, lod: &'a CloudLod) -> Self {
+        Self { access, cloud, aggregates: &lod.aggregates, held: None }
+    }
+
+    /// The page of a record, its number in the file, and the record's place in it.
+    pub(super) fn page_of(&mut self, record: u32) -> Result<(AggregatePage<'_>, u32, usize), Halt> {
+        let header = self.cloud.header();
+        let (page, index) = self.aggregates.place_of(record, header.page_bytes);
+        let page = header.point_pages + header.node_pages + page;
+        if record >= self.aggregates.records() {
+            return Err(self.cloud.broken(page.min(header.pages().saturating_sub(1))).into());
+        }
+        let is_held = self.held.as_ref().is_some_and(|(held, _)| *held == page);
+        if !is_held {
+            self.held = Some((page, self.access.retain(self.cloud, page)?));
+        }
+        let Some((_, bytes)) = &self.held else { return Err(self.cloud.broken(page).into()) };
+        Ok((AggregatePage::trusted(bytes, header, self.aggregates), page, index))
+    }
+
+    /// What a walk reads of a record.
+    pub(super) fn place(&mut self, record: u32) -> Result<CellPlace, Halt> {
+        let (page, number, index) = self.page_of(record)?;
+        let place = page.place(index);
+        place.ok_or_else(|| self.cloud.broken(number).into())
+    }
+
+    /// A whole record of a cell at a level.
+    pub(super) fn record(&mut self, record: u32, level: u8) -> Result<Aggregate, Halt> {
+        let (page, number, index) = self.page_of(record)?;
+        let found = page.get(index, level);
+        found.ok_or_else(|| self.cloud.broken(number).into())
+    }
+
+    /// Number of all records.
+    pub(super) fn records(&self) -> u32 {
+        self.aggregates.records()
+    }
+
+    /// How many records from one on are in its page.
+    pub(super) fn left_in_page(&self, record: u32) -> u32 {
+        let per_page = self.aggregates.records_per_page(self.cloud.header().page_bytes).max(1);
+        per_page - record % per_page
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rayset_base::geometry::{DQuat, DVec3};
+
+    #[test]
+    fn turns_and_scales_keep_angles_and_stretches_do_not() {
+        let turn = DQuat::from_rotation_x(0.7);
+        let of = |scale: DVec3| DAffine3::from_scale_rotation_translation(scale, turn, DVec3::ONE);
+        assert!(keeps_angles(&DAffine3::IDENTITY) && keeps_angles(&of(DVec3::splat(1e-3))));
+        assert!(!keeps_angles(&of(DVec3::new(1.0, 1.0, 1.001))));
+    }
+}

@@ -1,0 +1,245 @@
+//! From the field of what is seen from afar to a volume: the closure, sample by sample, and what
+//! stands beside it of points that are densities.
+
+use super::lod::CloudLod;
+use super::shading::{Carried, CloudShading, Color, opacity_of_optical_depth};
+use crate::field::{FarChannel, FieldSamples, LANES, SLAB_SAMPLES, SampleRow, SimdLevel, dispatch};
+use crate::lod::{MOST_OPACITY, STACKING};
+use crate::math::ln;
+use crate::trace::display_values::all_to_linear;
+use crate::trace::node_samples::{Measure, NodeSamples, RequiredOutputs, ZERO, each_lane, numbers};
+
+/// What is taken of the light by less than this, for a unit of volume, has no colour.
+const LEAST_AREA: f32 = 1e-30;
+
+/// What points that are densities make of a lane.
+struct DensityLane {
+    opacity: SampleRow,
+    color: [SampleRow; 3],
+    normal: [SampleRow; 3],
+    boundary: SampleRow,
+    attributes: Vec<SampleRow>,
+}
+
+impl CloudShading {
+    /// Converts the fields of densities and of what is seen from afar to opacity, colour and shading
+    /// vector.
+    pub(super) fn transfer_spread(
+        &self,
+        lod: &CloudLod,
+        (near, spread): (&mut FieldSamples, &FieldSamples),
+        (measure, required, simd): (Measure, RequiredOutputs, SimdLevel),
+        out: &mut NodeSamples,
+    ) {
+        let (of_near, both) = (near.touched, near.touched & spread.touched);
+        near.touched = of_near & !both;
+        self.transfer(near, (measure, required, simd), None, out);
+        near.touched = both;
+        self.beside_spread(lod, (near, spread), (required, simd), out);
+        each_lane(spread.touched, |lane| {
+            let beside = (both >> lane & 1 == 1).then(|| DensityLane::of(out, (lane, required)));
+            self.fill_spread(lod, spread, (lane, required, simd), out);
+            if let Some(beside) = beside {
+                beside.join(out, (lane, required));
+            }
+        });
+        if measure == Measure::Opacity {
+            dispatch!(simd.level(), _simd => opacity_of_optical_depth(spread.touched, &mut out.opacity));
+        }
+        out.touched = of_near | spread.touched;
+    }
+
+    /// What densities absorb beside what is seen from afar, which adds to the density that they are
+    /// in: of g at both together, by their part of it. As optical depths.
+    fn beside_spread(
+        &self,
+        lod: &CloudLod,
+        (near, spread): (&mut FieldSamples, &FieldSamples),
+        (required, simd): (RequiredOutputs, SimdLevel),
+        out: &mut NodeSamples,
+    ) {
+        let channel = lod.decoder.channel(FarChannel::Density);
+        let own: Vec<(usize, SampleRow)> = (0..LANES)
+            .filter(|lane| near.touched >> lane & 1 == 1)
+            .map(|lane| (lane, near.density[lane]))
+            .collect();
+        for (lane, _) in &own {
+            let more = &spread.attribute[channel][*lane].0;
+            near.density[*lane].0.iter_mut().zip(more).for_each(|(d, more)| *d += more);
+        }
+        self.fill_opacity(near, Measure::OpticalDepth, simd, out);
+        for (lane, density) in own {
+            let (opacity, all) = (&mut out.opacity[lane].0, &near.density[lane].0);
+            for j in 0..SLAB_SAMPLES {
+                opacity[j] = if density.0[j] > 0.0 { opacity[j] * (density.0[j] / all[j]) } else { 0.0 };
+            }
+            near.density[lane] = density;
+        }
+        each_lane(near.touched, |lane| self.fill_lane(near, (lane, None), (required, simd), out));
+    }
+
+    /// Fills a lane with what is seen from afar; opacities are optical depths.
+    fn fill_spread(
+        &self,
+        lod: &CloudLod,
+        spread: &FieldSamples,
+        (lane, required, simd): (usize, RequiredOutputs, SimdLevel),
+        out: &mut NodeSamples,
+    ) {
+        let area = &spread.density[lane].0;
+        let of = |channel: FarChannel| &spread.attribute[lod.decoder.channel(channel)][lane].0;
+        let (cover, length) = (of(FarChannel::Cover), of(FarChannel::Length));
+        let per_local = (self.unit_distance * lod.stretch) as f32;
+        dispatch!(simd.level(), _simd =>
+            closed((area, cover, length), per_local, &mut out.opacity[lane].0));
+        let mean = |channel: usize| {
+            let sum = &spread.attribute[channel][lane].0;
+            let of = |j: usize| if area[j] > LEAST_AREA { sum[j] / area[j] } else { 0.0 };
+            SampleRow(std::array::from_fn(of))
+        };
+        let value = |carried: Carried| match carried {
+            Carried::Mean(channel) => mean(channel),
+            Carried::Label(number) => spread.label[number][0][lane],
+        };
+        if required.color {
+            self.color_spread(lod, (mean, value), (lane, simd), out);
+        }
+        for number in numbers(required.attributes) {
+            let carried = self.carried(number);
+            out.attributes[number][lane] = carried.map_or(ZERO, value);
+        }
+        if required.normal || required.boundary {
+            // The boundary is where half of a pixel is covered.
+            let covered =
+                SampleRow(std::array::from_fn(|j| area[j] * (0.5 / length[j].max(f32::MIN_POSITIVE))));
+            self.fill_vectors(
+                (&spread.gradient, &spread.density[lane]),
+                &covered,
+                (lane, required, simd),
+                out,
+            );
+        }
+        if required.material {
+            for (rows, &v) in out.material.iter_mut().zip(&self.material) {
+                rows[lane].0.fill(v);
+            }
+        }
+    }
+
+    fn color_spread(
+        &self,
+        lod: &CloudLod,
+        (mean, value): (impl Fn(usize) -> SampleRow, impl Fn(Carried) -> SampleRow),
+        (lane, simd): (usize, SimdLevel),
+        out: &mut NodeSamples,
+    ) {
+        let first_of_densities = lod.decoder.channel(FarChannel::Color);
+        match &self.color {
+            Color::Uniform(color) => {
+                for (rows, &v) in out.color.iter_mut().zip(color) {
+                    rows[lane].0.fill(v);
+                }
+            }
+            Color::Points => {
+                for (channel, rows) in out.color.iter_mut().enumerate() {
+                    rows[lane] = mean(channel);
+                    if self.are_colors_displayed() {
+                        dispatch!(simd.level(), _simd => all_to_linear(&mut rows[lane].0));
+                    }
+                }
+            }
+            Color::Map { carried: None, .. } => {
+                for (channel, rows) in out.color.iter_mut().enumerate() {
+                    rows[lane] = mean(first_of_densities + channel);
+                }
+            }
+            Color::Map { table, carried: Some(carried), .. } => {
+                let values = value(*carried);
+                let [red, green, blue] = out.color.each_mut().map(|rows| &mut rows[lane].0);
+                for j in 0..SLAB_SAMPLES {
+                    if out.opacity[lane].0[j] > 0.0 {
+                        [red[j], green[j], blue[j]] = table.color(values.0[j]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The closure: optical depths per unit distance, which is so long in the cloud's space, of sums of
+/// the area that takes light, of that which is covered, and of this times its length.
+#[inline(always)]
+fn closed(
+    (area, cover, length): (&[f32; SLAB_SAMPLES], &[f32; SLAB_SAMPLES], &[f32; SLAB_SAMPLES]),
+    unit: f32,
+    depth: &mut [f32; SLAB_SAMPLES],
+) {
+    let stacking = STACKING as f32;
+    for j in 0..SLAB_SAMPLES {
+        let (covered, per_cover) = (length[j], 1.0 / cover[j].max(f32::MIN_POSITIVE));
+        let opacity = (area[j] * per_cover).min(MOST_OPACITY as f32);
+        // The length of what covers the pixel.
+        let long = (covered * per_cover).max(f32::MIN_POSITIVE);
+        let beside = minus_ln_1m((stacking * covered * opacity).min(0.999_999)) / (stacking * long);
+        let behind = covered * minus_ln_1m(opacity) / long;
+        let sigma = if stacking * covered < 1.0 { beside } else { behind };
+        depth[j] = if cover[j] > 0.0 { sigma * unit } else { 0.0 };
+    }
+}
+
+/// −ln(1 − x), for x from 0 to less than 1.
+#[inline(always)]
+fn minus_ln_1m(x: f32) -> f32 {
+    let series = x * (1.0 + x * (0.5 + x * (1.0 / 3.0 + x * (0.25 + x * 0.2))));
+    if x < 0.03 { series } else { -ln(1.0 - x) }
+}
+
+impl DensityLane {
+    fn of(out: &NodeSamples, (lane, required): (usize, RequiredOutputs)) -> Self {
+        let row = |wanted: bool, rows: &[SampleRow]| if wanted { rows[lane] } else { ZERO };
+        Self {
+            opacity: out.opacity[lane],
+            color: out.color.each_ref().map(|rows| row(required.color, rows)),
+            normal: out.normal.each_ref().map(|rows| row(required.normal, rows)),
+            boundary: row(required.boundary, &out.boundary),
+            attributes: out.attributes.iter().map(|rows| rows[lane]).collect(),
+        }
+    }
+
+    /// Adds it to what is seen from afar: each by its part of what absorbs.
+    fn join(self, out: &mut NodeSamples, (lane, required): (usize, RequiredOutputs)) {
+        for j in 0..SLAB_SAMPLES {
+            let (own, other) = (self.opacity.0[j], out.opacity[lane].0[j]);
+            let all = own + other;
+            if !(own > 0.0) || !(all > 0.0) {
+                continue;
+            }
+            let part = own / all;
+            let mixed =
+                |own: f32, other: f32| if part < 1.0 { own * part + other * (1.0 - part) } else { own };
+            out.opacity[lane].0[j] = all;
+            if required.color {
+                for (rows, own) in out.color.iter_mut().zip(&self.color) {
+                    rows[lane].0[j] = mixed(own.0[j], rows[lane].0[j]);
+                }
+            }
+            if required.normal {
+                let mut sum = [0.0; 3];
+                for axis in 0..3 {
+                    sum[axis] = mixed(self.normal[axis].0[j], out.normal[axis][lane].0[j]);
+                }
+                let length = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
+                for axis in 0..3 {
+                    out.normal[axis][lane].0[j] = if length > 1e-6 { sum[axis] / length } else { 0.0 };
+                }
+            }
+            if required.boundary && part > 0.5 {
+                out.boundary[lane].0[j] = self.boundary.0[j];
+            }
+            for number in numbers(required.attributes) {
+                let rows = &mut out.attributes[number];
+                rows[lane].0[j] = mixed(self.attributes[number].0[j], rows[lane].0[j]);
+            }
+        }
+    }
+}
