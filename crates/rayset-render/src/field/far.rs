@@ -8,20 +8,20 @@
 use super::columns::{AttributeColumns, MAP_COLUMNS};
 use super::run::DecodedRun;
 use super::sight::Sight;
-use super::simd::{SimdLevel, dispatch};
-use crate::lod::{Absorber, CrossSections, LEAST_PART, SPREAD, Seen, density_part};
+use super::simd::SimdLevel;
+use crate::lod::{Absorber, CrossSections, LEAST_PART, SPREAD, Seen};
 use crate::math::linear_from_srgb;
-use rayset_base::geometry::{Aabb, DMat3, DVec3};
+use rayset_base::geometry::{Aabb, DVec3};
 use rayset_files::octree::aggregates::{Aggregate, AggregatePage};
 use rayset_files::octree::format::Header;
 use rayset_files::octree::layout::RUN_POINTS;
 
 /// What takes less of the light that meets it is not there.
-const LEAST_OPACITY: f64 = 1e-6;
+pub(super) const LEAST_OPACITY: f64 = 1e-6;
 
 /// The channels of the closure, behind those of the cloud's attributes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FarChannel {
+pub(crate) enum FarChannel {
     /// 1/c: sums to the area that is covered.
     Cover,
     /// L/c: sums to that area times the length of what covers it.
@@ -37,23 +37,13 @@ const OF_CLOSURE: usize = 3;
 
 /// Decodes what stands for the points of one cloud from afar.
 #[derive(Clone, Debug)]
-pub struct FarDecoder {
+pub(crate) struct FarDecoder {
     sections: CrossSections,
     columns: AttributeColumns,
     /// Whether colours are those of densities.
     colors_densities: bool,
     /// The value of each byte of a colour.
     color_from_byte: Box<[f32; 256]>,
-}
-
-/// By which part each point of a run is seen by itself, and the area that a unit of the mass around
-/// it takes of the light.
-#[derive(Clone, Debug)]
-pub struct PointParts {
-    /// For each point.
-    pub part: [f32; RUN_POINTS],
-    /// For each point.
-    pub of_mass: [f64; RUN_POINTS],
 }
 
 impl FarDecoder {
@@ -90,9 +80,27 @@ impl FarDecoder {
         self.columns.channels() + channel as usize
     }
 
-    /// Whether colours follow from densities.
-    pub(crate) fn colors_densities(&self) -> bool {
-        self.colors_densities
+    /// The first channel of the closure.
+    pub(super) fn first_of_closure(&self) -> usize {
+        self.columns.channels()
+    }
+
+    /// What the kernel integrates to, and its variance.
+    pub(super) fn kernel(&self) -> (f64, f64) {
+        self.sections.kernel
+    }
+
+    /// Gives points, as they are decoded for a field of densities, the channels of the closure, and
+    /// colours if these follow from densities.
+    pub(super) fn color_points(&self, run: &mut DecodedRun) {
+        run.attribute.resize(self.channels(), [0.0; RUN_POINTS]);
+        if self.colors_densities {
+            let first = self.channel(FarChannel::Color);
+            for i in 0..run.len {
+                let color = self.sections.color_at(f64::from(run.points.weight[i]));
+                (0..3).for_each(|channel| run.attribute[first + channel][i] = color[channel]);
+            }
+        }
     }
 
     /// The area that a unit of an aggregate's mass takes of the light.
@@ -112,7 +120,10 @@ impl FarDecoder {
     ) {
         let mut bounds = Aabb::EMPTY;
         let records = first..page.len().min(first + parts.len());
-        records.clone().filter_map(|index| page.place(index)).for_each(|cell| bounds.include(cell.centroid));
+        records
+            .clone()
+            .filter_map(|index| page.place(index, level))
+            .for_each(|cell| bounds.include(cell.centroid));
         out.center = bounds.center();
         let mut writer = FarWriter::begin(self, out);
         for (index, &part) in records.zip(parts) {
@@ -162,53 +173,6 @@ impl FarDecoder {
             }
         }
     }
-
-    /// Makes of a run's points, as they are decoded for a field of densities, what is seen of them
-    /// as Gaussians.
-    pub(crate) fn spread_points(
-        &self,
-        parts: &PointParts,
-        (sight, simd): (&Sight, SimdLevel),
-        run: &mut DecodedRun,
-    ) {
-        let (integral, variance) = self.sections.kernel;
-        let (len, are_balls) = (run.len, run.points.map.is_empty());
-        let mut writer = FarWriter::begin(self, run);
-        for i in 0..len {
-            let point = writer.out.point(i, are_balls);
-            let pixel = sight.pixel_at(point.center);
-            let part = f64::from(parts.part[i]) * (1.0 - density_part(point.lengths.x, pixel));
-            if part <= LEAST_PART {
-                continue;
-            }
-            let mass = integral * point.weight * point.lengths.element_product();
-            let absorber = Absorber {
-                center: point.center,
-                axes: point.axes,
-                variances: point.lengths * point.lengths * variance,
-                mass,
-                cross_section: parts.of_mass[i] * mass,
-            };
-            let seen = absorber.seen(sight.eye.toward(point.center), pixel);
-            let Some(at) = writer.add(&seen, part as f32) else { continue };
-            for column in
-                writer.out.attribute[..self.columns.channels()].iter_mut().chain(&mut writer.out.label)
-            {
-                column[at] = column[i];
-            }
-            self.density_color(at, writer.out, || self.sections.color_at(point.weight));
-        }
-        writer.finish(simd);
-    }
-}
-
-/// A point, in the cloud's space.
-struct Point {
-    center: DVec3,
-    axes: DMat3,
-    /// Of the semi-axes.
-    lengths: DVec3,
-    weight: f64,
 }
 
 /// Writes Gaussians into a run, one after another, never before what is read of it.
@@ -225,8 +189,7 @@ impl<'t> FarWriter<'t> {
         let columns = &decoder.columns;
         out.attribute.resize(decoder.channels(), [0.0; RUN_POINTS]);
         out.label.resize(columns.labels.len(), [0.0; RUN_POINTS]);
-        out.are_splats = false;
-        out.is_widened = false;
+        out.become_spread();
         let first = columns.channels();
         Self { out, len: 0, first, reach: DVec3::ZERO, least_radius: f64::INFINITY }
     }
@@ -278,67 +241,16 @@ impl<'t> FarWriter<'t> {
         let Self { out, len, reach, least_radius, .. } = self;
         out.len = len;
         out.reach = reach.to_array().map(|v| (v * 1.00001) as f32);
-        out.size = (0.0, 0.0);
         out.set_far((least_radius * 0.9999) as f32, simd);
     }
 }
 
 impl DecodedRun {
-    /// The radii of its points.
-    pub(crate) fn radii(&self) -> &[f32; RUN_POINTS] {
-        &self.points.radius
-    }
-
-    /// A point of a run that has been decoded for a field of densities.
-    fn point(&self, i: usize, is_ball: bool) -> Point {
-        let points = &self.points;
-        let offset = match &self.wide {
-            Some(wide) => DVec3::from_array(wide.position.each_ref().map(|column| column[i])),
-            None => DVec3::from_array(points.position.each_ref().map(|column| f64::from(column[i]))),
-        };
-        let (center, weight) = (self.center + offset, f64::from(points.weight[i]));
-        if is_ball {
-            let lengths = DVec3::splat(f64::from(points.radius[i]));
-            return Point { center, axes: DMat3::IDENTITY, lengths, weight };
-        }
-        let row = |row: usize| DVec3::from_array([0, 1, 2].map(|j| f64::from(points.map[3 * row + j][i])));
-        let rows = [row(0), row(1), row(2)];
-        let lengths = DVec3::from_array(rows.map(|row| 1.0 / row.length()));
-        let axes = DMat3::from_cols(rows[0] * lengths.x, rows[1] * lengths.y, rows[2] * lengths.z);
-        Point { center, axes, lengths, weight }
-    }
-
-    /// Leaves of a run's points, as they are decoded for a field of densities, what is a density of
-    /// them.
-    pub(crate) fn fade_points(&mut self, parts: &PointParts, sight: &Sight, simd: SimdLevel) {
-        let mut len = 0;
-        let mut least_radius = f32::INFINITY;
-        for i in 0..self.len {
-            let point = self.point(i, self.points.map.is_empty());
-            let radius = self.points.radius[i];
-            let as_density = density_part(f64::from(radius), sight.pixel_at(point.center));
-            let part = f64::from(parts.part[i]) * as_density;
-            if part <= LEAST_PART {
-                continue;
-            }
-            let points = &mut self.points;
-            points.position.iter_mut().for_each(|column| column[len] = column[i]);
-            points.map.iter_mut().for_each(|column| column[len] = column[i]);
-            points.radius[len] = radius;
-            points.inverse_radius[len] = points.inverse_radius[i];
-            points.weight[len] = (f64::from(points.weight[i]) * part) as f32;
-            self.attribute.iter_mut().chain(&mut self.label).for_each(|column| column[len] = column[i]);
-            if let Some(wide) = &mut self.wide {
-                wide.position.iter_mut().for_each(|column| column[len] = column[i]);
-                wide.inverse_radius[len] = wide.inverse_radius[i];
-                if !wide.map.is_empty() {
-                    wide.map[len] = wide.map[i];
-                }
-            }
-            least_radius = least_radius.min(radius);
-            len += 1;
-        }
-        self.len = len;
-        dispatch!(simd.level(), token => self.bound_again(token, least_radius * 0.9999));
+    /// Becomes one of Gaussians in single precision, whatever it was: what is rounded is a small
+    /// part of a pixel.
+    pub(super) fn become_spread(&mut self) {
+        self.are_splats = false;
+        self.is_widened = false;
+        self.size = (0.0, 0.0);
     }
 }

@@ -13,12 +13,12 @@ use rayset_files::octree::aggregates::Aggregate;
 /// By which kernel areas are spread: with the variances of what is seen.
 pub(crate) const SPREAD: Kernel = Kernel::Gaussian;
 /// The largest optical depth of an aggregate: −ln(1 − 4095/4096), of the largest opacity.
-const MOST_DEPTH: f64 = 8.3;
+pub(crate) const MOST_DEPTH: f64 = 8.3;
 /// Between opacities that add up (1) and those that multiply (∞).
 pub(crate) const STACKING: f64 = 2.0;
 /// By how much flat aggregates are longer along rays that do not cross them at a right angle, so
 /// that closed sheets stay closed.
-const STRETCH: f64 = 30.0;
+pub(crate) const STRETCH: f64 = 30.0;
 /// The largest opacity.
 pub(crate) const MOST_OPACITY: f64 = 1.0 - 1.0 / 4096.0;
 

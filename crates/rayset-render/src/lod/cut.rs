@@ -2,7 +2,9 @@
 //!
 //! A node or a cell of edge e, where a pixel is ρ wide, stands for its points by the part
 //! S(log₂(ρ/e) + ½), with S the smoothstep; what is below it has the rest. So its part grows where
-//! ρ does from 0.7 e to 1.4 e, and every point is seen once altogether. A point of radius r that is
+//! ρ does from 0.7 e to 1.4 e, and every point is seen once altogether. A cell that is not divided
+//! takes the place of those of half its edge that would be below it, too: otherwise each of its
+//! points would be looked at for a part that is hardly seen. A point of radius r that is
 //! seen by itself is a density by S(log₂(r/ρ)), and a Gaussian like aggregates by the rest.
 
 /// Least part that is not left out.
@@ -17,6 +19,13 @@ fn smoothstep(x: f64) -> f64 {
 /// The part by which a cell with this edge stands for its points, where a pixel is so wide.
 pub(crate) fn part_of_cell(edge: f64, pixel: f64) -> f64 {
     smoothstep((pixel / edge).log2() + 0.5)
+}
+
+/// The same of a cell that is not divided any further, which takes the place of what would be below
+/// it.
+pub(crate) fn part_of_last_cell(edge: f64, pixel: f64) -> f64 {
+    let own = part_of_cell(edge, pixel);
+    own + (1.0 - own) * part_of_cell(0.5 * edge, pixel)
 }
 
 /// The part by which a point that is seen by itself is a density, where a pixel is so wide.

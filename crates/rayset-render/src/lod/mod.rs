@@ -10,6 +10,6 @@ mod closure;
 mod cross_sections;
 mod cut;
 
-pub(crate) use self::closure::{Absorber, MOST_OPACITY, SPREAD, STACKING, Seen, Sums};
+pub(crate) use self::closure::{Absorber, MOST_DEPTH, MOST_OPACITY, SPREAD, STACKING, STRETCH, Seen, Sums};
 pub(crate) use self::cross_sections::CrossSections;
-pub(crate) use self::cut::{LEAST_PART, density_part, part_of_cell};
+pub(crate) use self::cut::{LEAST_PART, density_part, part_of_cell, part_of_last_cell};

@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use super::cells::{Children, OwnPoints};
+use super::cells::{Cells, OwnPoints};
 use super::density::{CloudPages, Field};
 use super::error::AggregateError;
 use super::header::LEVELS;
@@ -52,7 +52,7 @@ pub(super) struct Maker<'a> {
 struct Own {
     points: u64,
     moments: Moments,
-    children: Children,
+    cells: Cells,
     below: RecordsByLevel,
 }
 
@@ -63,6 +63,8 @@ struct OpenNode {
     /// The records of its children.
     siblings: Vec<u8>,
     child_mask: u8,
+    /// Of a leaf, how many cells are below it.
+    cells: u8,
     /// Of the records below a leaf.
     first_child: u32,
     /// How many of its children have been opened.
@@ -106,7 +108,7 @@ impl Maker<'_> {
         let mut all = Own {
             points: 0,
             moments: Moments::none(&self.records.carried),
-            children: Children::default(),
+            cells: Cells::default(),
             below: RecordsByLevel::default(),
         };
         let mut points = Points::default();
@@ -123,8 +125,8 @@ impl Maker<'_> {
                 maker: &self.records,
             };
             let moments = if divides {
-                let (moments, children, below) = own.divide(node.level.into());
-                (all.children, all.below) = (children, below);
+                let (moments, cells, below) = own.divide(node.level.into());
+                (all.cells, all.below) = (cells, below);
                 moments
             } else {
                 own.whole(node.level.into())
@@ -270,7 +272,7 @@ impl Tree<'_> {
         while self.open.last().is_some_and(|open| open.node.level >= node.level) {
             self.close()?;
         }
-        let Own { points, moments, children, below } = own;
+        let Own { points, moments, cells, below } = own;
         let mut first_child = 0;
         let record_bytes = self.maker.records.record_bytes();
         for (depth, mut records) in below.levels.into_iter().enumerate() {
@@ -284,8 +286,8 @@ impl Tree<'_> {
             }
         }
         (self.maker.progress)(points);
-        let (siblings, child_mask) = (Vec::new(), children.mask);
-        self.open.push(OpenNode { node, moments, siblings, child_mask, first_child, children: 0 });
+        let (siblings, child_mask, cells) = (Vec::new(), 0, cells.count);
+        self.open.push(OpenNode { node, moments, siblings, child_mask, cells, first_child, children: 0 });
         Ok(())
     }
 
@@ -296,11 +298,10 @@ impl Tree<'_> {
         if !done.siblings.is_empty() {
             done.first_child = self.append(level + 1, std::mem::take(&mut done.siblings))?;
         }
-        let few = u64::from(self.maker.options.few_points);
-        let aggregate = done.moments.aggregate(&Masses::default()).filter(|_| done.moments.points > few);
         let mut record = Vec::new();
-        if let Some(mut aggregate) = aggregate {
+        if let Some(mut aggregate) = done.moments.aggregate(&Masses::default()) {
             (aggregate.child_mask, aggregate.first_child) = (done.child_mask, done.first_child);
+            aggregate.cells = done.cells;
             self.maker.records.encode(&aggregate, &done.moments, level as u32, &mut record);
         }
         match self.open.last_mut() {

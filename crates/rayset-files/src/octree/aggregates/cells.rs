@@ -17,10 +17,14 @@ use rayset_base::geometry::curve::{MAX_LEVEL, hilbert};
 /// points in tight clumps, each of which would have one at every level.
 const MOST_LEVELS_BELOW: u32 = 6;
 
-/// Which children of a cell have records, and the number of the first among those of its level.
+/// Cells with less than this part of the points with which one is divided become one with a
+/// neighbour.
+const TINY_PART: usize = 8;
+
+/// How many cells are below another, and the number of the first among those of its level.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Children {
-    pub(super) mask: u8,
+pub(super) struct Cells {
+    pub(super) count: u8,
     pub(super) first: u32,
 }
 
@@ -33,7 +37,7 @@ pub(super) struct OwnPoints<'a> {
     pub(super) densities: &'a Masses,
     /// Of the kernel.
     pub(super) variance: f64,
-    /// Cells of at most so many points have no record.
+    /// Cells of at most so many points are not divided.
     pub(super) few: usize,
     pub(super) maker: &'a RecordMaker,
 }
@@ -47,11 +51,11 @@ impl OwnPoints<'_> {
     }
 
     /// The same of a leaf, and the records of its cells.
-    pub(super) fn divide(&self, level: u32) -> (Moments, Children, RecordsByLevel) {
+    pub(super) fn divide(&self, level: u32) -> (Moments, Cells, RecordsByLevel) {
         let mut records = RecordsByLevel::default();
         let codes = codes(&self.points.position, self.maker.root, level);
-        let (moments, children) = self.cell(&codes, 0..codes.len(), (level, level), &mut records);
-        (moments, children, records)
+        let (moments, cells) = self.cell(&codes, 0..codes.len(), (level, level), &mut records);
+        (moments, cells, records)
     }
 
     /// The moments of those points of a cell whose radius is no larger than its edge, and what
@@ -62,36 +66,55 @@ impl OwnPoints<'_> {
         range: Range<usize>,
         (level, of_leaf): (u32, u32),
         records: &mut RecordsByLevel,
-    ) -> (Moments, Children) {
+    ) -> (Moments, Cells) {
         let mut moments = Moments::none(&self.maker.carried);
         let edge = self.maker.edge(level);
         let deepest = MAX_LEVEL.min(of_leaf + MOST_LEVELS_BELOW);
         if level == deepest || range.len() <= self.few {
             self.add(range, (0.0, edge), &mut moments);
-            return (moments, Children::default());
+            return (moments, Cells::default());
         }
         let shift = 3 * (MAX_LEVEL - level - 1);
-        let (mut start, mut mask) = (range.start, 0_u8);
+        let mut count = 0_u8;
         let mut siblings = Vec::new();
-        while start < range.end {
-            let rank = codes[start] >> shift;
-            let end = start + codes[start..range.end].partition_point(|code| code >> shift <= rank);
-            let (below, children) = self.cell(codes, start..end, (level + 1, of_leaf), records);
+        for part in self.parts(codes, range.clone(), shift) {
+            let (below, cells) = self.cell(codes, part.clone(), (level + 1, of_leaf), records);
             moments.merge(&below);
-            if below.points > self.few as u64
-                && let Some(mut aggregate) = below.aggregate(self.densities)
-            {
-                (aggregate.child_mask, aggregate.first_child) = (children.mask, children.first);
-                aggregate.first_point = start as u16;
-                aggregate.more_points = (end - start - 1) as u16;
-                mask |= 1 << (rank & 7);
+            if let Some(mut aggregate) = below.aggregate(self.densities) {
+                (aggregate.cells, aggregate.first_child) = (cells.count, cells.first);
+                aggregate.first_point = part.start as u16;
+                aggregate.more_points = (part.len() - 1) as u16;
+                count += 1;
                 self.maker.encode(&aggregate, &below, level + 1, &mut siblings);
             }
-            start = end;
         }
         self.add(range, (0.5 * edge, edge), &mut moments);
         let first = records.append((level - of_leaf) as usize, &siblings, self.maker.record_bytes());
-        (moments, Children { mask, first })
+        (moments, Cells { count, first })
+    }
+
+    /// Divides points by the cells that their codes have without the last bits. A cell of very few
+    /// points becomes one with the cell before or behind it on the curve, which it has a side in
+    /// common with; of no more than one.
+    fn parts(&self, codes: &[u64], range: Range<usize>, shift: u32) -> Vec<Range<usize>> {
+        let tiny = self.few / TINY_PART;
+        // Each with the code of its last cell, and how many cells it has.
+        let mut parts: Vec<(Range<usize>, u64, u32)> = Vec::new();
+        let mut start = range.start;
+        while start < range.end {
+            let cell = codes[start] >> shift;
+            let end = start + codes[start..range.end].partition_point(|code| code >> shift <= cell);
+            match parts.last_mut() {
+                Some((last, of, cells))
+                    if *cells == 1 && *of + 1 == cell && last.len().min(end - start) < tiny =>
+                {
+                    (last.end, *of, *cells) = (end, cell, 2);
+                }
+                _ => parts.push((start..end, cell, 1)),
+            }
+            start = end;
+        }
+        parts.into_iter().map(|(part, ..)| part).collect()
     }
 
     /// Adds those of some points whose radii are above a length and no more than another.

@@ -25,7 +25,7 @@ pub struct AggregateHeader {
     pub kernel: Kernel,
     /// Whether weights are divided by what the kernels integrate to.
     pub normalised: bool,
-    /// Cells of at most so many points have no record.
+    /// Cells of at most so many points are not divided.
     pub few_points: u32,
     /// The number of the first record of each level, and that of all records.
     pub first_of_level: [u32; LEVELS + 1],

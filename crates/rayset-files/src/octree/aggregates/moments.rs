@@ -126,6 +126,7 @@ impl Moments {
             radius: (self.radius_squared / self.mass).sqrt(),
             densities,
             child_mask: 0,
+            cells: 0,
             first_child: 0,
             first_point: 0,
             more_points: 0,

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use rayset_base::kernel::Kernel;
 use rayset_base::setters;
 
-/// Cells of at most so many points have no record, by default.
-const FEW_POINTS: u32 = 16;
+/// Cells of at most so many points are not divided, by default.
+const FEW_POINTS: u32 = 64;
 /// What a thread takes: points that are looked at together, and a grid over them.
 const THREAD_BYTES: u64 = 12 << 20;
 /// What records take before they are stored, and pages that are used again and again.
@@ -24,7 +24,7 @@ pub struct AggregateOptions {
     pub kernel: Kernel,
     /// Whether weights are divided by what the kernels integrate to.
     pub normalised: bool,
-    /// Cells of at most so many points have no record: their points stand for themselves.
+    /// Cells of at most so many points are not divided.
     pub few_points: u32,
     /// Memory for all of it, in bytes.
     pub memory_bytes: u64,

@@ -45,13 +45,13 @@ impl<'a> AggregatePage<'a> {
             let Some(record) = this.get(index, level as u8) else {
                 return wrong("an aggregate without densities");
             };
-            let end = u64::from(record.first_child) + u64::from(record.child_mask.count_ones());
+            let end = u64::from(record.first_child) + u64::from(record.children());
             let below = &of.first_of_level[level + 1..];
             let is_below = below.len() > 1 && record.first_child >= below[0] && end <= u64::from(below[1]);
-            if record.child_mask != 0 && !(is_below && record.first_child >= next_child) {
+            if record.children() != 0 && !(is_below && record.first_child >= next_child) {
                 return wrong("an aggregate whose children are not one level below");
             }
-            if record.child_mask != 0 {
+            if record.children() != 0 {
                 next_child = end as u32;
             }
         }
@@ -81,14 +81,18 @@ impl<'a> AggregatePage<'a> {
     /// The record of a cell at a level; `None` if it is beyond the page, or none.
     #[must_use]
     pub fn get(&self, index: usize, level: u8) -> Option<Aggregate> {
-        let edge = self.root.size * 2_f64.powi(-i32::from(level));
-        Aggregate::decode(self.bytes_of(index)?, self.root, edge)
+        Aggregate::decode(self.bytes_of(index)?, self.root, self.edge(level))
     }
 
-    /// Where a record's cell is, and what is below it: all that a walk reads.
+    fn edge(&self, level: u8) -> f64 {
+        self.root.size * 2_f64.powi(-i32::from(level))
+    }
+
+    /// Where the record of a cell at a level is, how far it extends, and what is below it: all that
+    /// a walk reads.
     #[must_use]
-    pub fn place(&self, index: usize) -> Option<CellPlace> {
-        CellPlace::decode(self.bytes_of(index)?, self.root)
+    pub fn place(&self, index: usize, level: u8) -> Option<CellPlace> {
+        CellPlace::decode(self.bytes_of(index)?, self.root, self.edge(level))
     }
 
     /// The colour of a record, as displays have it (sRGB).

@@ -30,15 +30,25 @@ pub struct Aggregate {
     pub radius: f64,
     /// How the mass is distributed over densities.
     pub densities: DensityBins,
-    /// Of a node of the octree, which children have records; of a cell of a leaf, which of its
-    /// eight cells; by their ranks along the curve.
+    /// Of an inner node of the octree, which children have records, by their ranks along the curve.
     pub child_mask: u8,
-    /// The number of the first child's record; the others follow it.
+    /// Of a leaf, or a cell of one, how many cells below it have records: all that have points no
+    /// larger than they are.
+    pub cells: u8,
+    /// The number of the first child's record, or the first cell's; the others follow it.
     pub first_child: u32,
     /// Of a cell of a leaf, the number of its first point among those of the leaf.
     pub first_point: u16,
     /// Of a cell of a leaf, how many points it has, less one.
     pub more_points: u16,
+}
+
+/// Set in the byte of the bins' width if the byte behind it counts cells.
+const HAS_CELLS: u8 = 0x80;
+
+/// The children of an inner node, and the number of cells below a leaf or a cell of one.
+fn children([kind, below]: [u8; 2]) -> (u8, u8) {
+    if kind & HAS_CELLS == 0 { (below, 0) } else { (0, below) }
 }
 
 /// What a walk reads of a record.
@@ -48,6 +58,10 @@ pub struct CellPlace {
     pub centroid: DVec3,
     /// See [`Aggregate::child_mask`].
     pub child_mask: u8,
+    /// See [`Aggregate::cells`].
+    pub cells: u8,
+    /// The longest of [`Aggregate::deviations`].
+    pub deviation: f64,
     /// See [`Aggregate::first_child`].
     pub first_child: u32,
     /// See [`Aggregate::first_point`].
@@ -58,14 +72,17 @@ pub struct CellPlace {
 
 impl CellPlace {
     /// Reads it from the bytes of a record, of which there must be [`AGGREGATE_BYTES`].
-    pub(super) fn decode(bytes: &[u8], root: RootCell) -> Option<Self> {
+    pub(super) fn decode(bytes: &[u8], root: RootCell, edge: f64) -> Option<Self> {
         let bytes: &[u8; AGGREGATE_BYTES] = bytes.first_chunk()?;
         let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
         let u32_at = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
         let place = DVec3::from_array([0, 4, 8].map(|at| f64::from(u32_at(at)) / PLACES));
+        let (child_mask, cells) = children([bytes[26], bytes[27]]);
         Some(Self {
             centroid: root.min + place * root.size,
-            child_mask: bytes[27],
+            child_mask,
+            cells,
+            deviation: Scale::Sixteenths.length(bytes[12]) * edge,
             first_child: u32_at(28),
             first_point: u16_at(32),
             more_points: u16_at(34),
@@ -73,7 +90,21 @@ impl CellPlace {
     }
 }
 
+impl CellPlace {
+    /// How many records are below it.
+    #[must_use]
+    pub fn children(&self) -> u32 {
+        self.child_mask.count_ones() + u32::from(self.cells)
+    }
+}
+
 impl Aggregate {
+    /// How many records are below it.
+    #[must_use]
+    pub fn children(&self) -> u32 {
+        self.child_mask.count_ones() + u32::from(self.cells)
+    }
+
     /// Writes the record into its 48 bytes. `edge` is that of its cell, world space.
     pub(super) fn encode(&self, root: RootCell, edge: f64, bytes: &mut [u8]) {
         let mut at = 0;
@@ -92,7 +123,9 @@ impl Aggregate {
         put(&mass.mantissa.to_le_bytes());
         put(&mass.exponent.to_le_bytes());
         put(&self.densities.top.to_le_bytes());
-        put(&[self.densities.width.code(), self.child_mask]);
+        let has_cells = self.cells != 0;
+        let below = if has_cells { self.cells } else { self.child_mask };
+        put(&[self.densities.width.code() | if has_cells { HAS_CELLS } else { 0 }, below]);
         put(&self.first_child.to_le_bytes());
         put(&self.first_point.to_le_bytes());
         put(&self.more_points.to_le_bytes());
@@ -108,6 +141,7 @@ impl Aggregate {
         let place = DVec3::from_array([0, 4, 8].map(|at| f64::from(u32_at(at)) / PLACES));
         let roots = std::array::from_fn(|bin| bytes[36 + bin]);
         let densities = DensityBins { width: Width::of_code(bytes[26]), top: u16_at(24) as i16, roots };
+        let (child_mask, cells) = children([bytes[26], bytes[27]]);
         if roots == [0; BINS] {
             return None;
         }
@@ -118,7 +152,8 @@ impl Aggregate {
             rotation: unpack_rotation(u32_at(16)),
             mass: ShortFloat { mantissa: u16_at(20), exponent: u16_at(22) as i16 }.number(),
             densities,
-            child_mask: bytes[27],
+            child_mask,
+            cells,
             first_child: u32_at(28),
             first_point: u16_at(32),
             more_points: u16_at(34),
@@ -171,12 +206,13 @@ mod tests {
             exponents in prop::array::uniform4(-9.0..1.0_f64),
             q in prop::array::uniform4(-1.0..1.0_f64),
             mass in -200.0..200.0_f64,
-            numbers in any::<(u8, u32, u16, u16)>(),
+            (counts, numbers) in any::<(bool, (u8, u32, u16, u16))>(),
         ) {
             prop_assume!(q.iter().any(|v| v.abs() > 0.1));
             let [a, b, c, radius] = exponents.map(f64::exp2);
             let roots = [3, 0, 255, 1, 0, 0, 0, 2, 0, 0, 9, 1];
-            let (child_mask, first_child, first_point, more_points) = numbers;
+            let (below, first_child, first_point, more_points) = numbers;
+            let (child_mask, cells) = if counts { (0, below) } else { (below, 0) };
             let aggregate = Aggregate {
                 centroid: ROOT.min + DVec3::from_array(place),
                 mass: mass.exp2(),
@@ -184,7 +220,7 @@ mod tests {
                 rotation: DQuat::from_array(q).normalize(),
                 radius,
                 densities: DensityBins { width: Width::Octave, top: -300, roots },
-                child_mask, first_child, first_point, more_points,
+                child_mask, cells, first_child, first_point, more_points,
             };
             let mut bytes = [0; AGGREGATE_BYTES];
             aggregate.encode(ROOT, 2.0, &mut bytes);
@@ -198,7 +234,8 @@ mod tests {
             let turn = 2.0 * read.rotation.dot(aggregate.rotation).abs().min(1.0).acos();
             prop_assert!(turn.to_degrees() < 0.3, "{} degrees", turn.to_degrees());
             prop_assert_eq!(read.densities, aggregate.densities);
-            prop_assert_eq!((read.child_mask, read.first_child, read.first_point, read.more_points), numbers);
+            prop_assert_eq!((read.child_mask, read.cells), (child_mask, cells));
+            prop_assert_eq!((below, read.first_child, read.first_point, read.more_points), numbers);
             let mut again = [0; AGGREGATE_BYTES];
             read.encode(ROOT, 2.0, &mut again);
             prop_assert_eq!(&again[..16], &bytes[..16]);

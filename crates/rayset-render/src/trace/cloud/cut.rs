@@ -7,9 +7,10 @@ use std::ops::Range;
 use super::lod::{CloudLod, RecordPages};
 use super::placement::CloudPlacement;
 use crate::field::Sight;
-use crate::lod::{LEAST_PART, part_of_cell};
+use crate::lod::{LEAST_PART, part_of_cell, part_of_last_cell};
 use crate::trace::access::Halt;
 use rayset_base::geometry::Aabb;
+use rayset_files::octree::aggregates::CellPlace;
 use rayset_files::octree::node::Node;
 
 /// No record.
@@ -52,6 +53,24 @@ pub(super) struct PointsOfNode {
     pub(super) edge: f64,
     /// Of a leaf, the cells below it, level by level.
     pub(super) levels: Vec<CellLevel>,
+    /// The points that are not wholly seen as cells; `None` if that may be any.
+    pub(super) left: Option<Left>,
+}
+
+/// Points of a leaf that are left, by their numbers: ranges that have nothing in common.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Left(Vec<(u32, u32)>);
+
+impl Left {
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Whether some of so many points from one on are left.
+    pub(super) fn has_some_of(&self, first: u32, count: u32) -> bool {
+        let at = self.0.partition_point(|&(_, end)| end <= first);
+        self.0.get(at).is_some_and(|&(begin, _)| begin < first + count)
+    }
 }
 
 /// The cells of a leaf at a level: records that follow each other.
@@ -61,8 +80,16 @@ pub(super) struct CellLevel {
     pub(super) end: u32,
     pub(super) level: u8,
     pub(super) edge: f64,
-    /// The part of their points for which they stand.
+    /// The part of their points for which those that are divided stand, and others.
     pub(super) part: f32,
+    pub(super) part_of_last: f32,
+}
+
+impl CellLevel {
+    /// The part for which a cell stands.
+    pub(super) fn part_of(&self, cell: &CellPlace) -> f32 {
+        if cell.cells == 0 { self.part_of_last } else { self.part }
+    }
 }
 
 /// Records that follow each other, and are decoded together.
@@ -71,9 +98,8 @@ pub(super) struct RecordRange {
     pub(super) first: u32,
     pub(super) count: u16,
     pub(super) level: u8,
-    /// Where their parts are kept: one for all, or one of each.
+    /// Where their parts are kept.
     pub(super) parts: u32,
-    pub(super) one_part: bool,
 }
 
 /// What is kept of the cut for a packet.
@@ -115,12 +141,9 @@ impl Cut {
     }
 
     /// The parts of some records.
-    pub(super) fn parts_of(&self, range: RecordRange) -> Vec<f32> {
+    pub(super) fn parts_of(&self, range: RecordRange) -> &[f32] {
         let first = range.parts as usize;
-        match range.one_part {
-            true => vec![self.parts[first]; range.count.into()],
-            false => self.parts[first..first + usize::from(range.count)].to_vec(),
-        }
+        &self.parts[first..first + usize::from(range.count)]
     }
 
     /// The root is about to be met.
@@ -142,8 +165,11 @@ impl Cut {
         above: NodePart,
     ) -> Result<NodePart, Halt> {
         self.walk(seen.cloud, pages, 1)?;
-        let pixel = seen.sight.pixel_at(pages.place(record)?.centroid);
-        let own = above.rest * part_of_cell(seen.edge(level), pixel) as f32;
+        let place = pages.place(record, level)?;
+        let pixel = seen.sight.pixel_at(place.centroid);
+        let is_last = place.children() == 0;
+        let part_of = if is_last { part_of_last_cell } else { part_of_cell };
+        let own = above.rest * part_of(seen.edge(level), pixel) as f32;
         let rest = above.rest - own;
         let rest = if f64::from(rest) > LEAST_PART { rest } else { 0.0 };
         Ok(NodePart { record, nearest: (record, level), whole: above.rest, rest })
@@ -166,7 +192,7 @@ impl Cut {
     ) -> Result<(), Halt> {
         self.children.clear();
         self.met = 0;
-        let of_node = if part.record == NONE { None } else { Some(pages.place(part.record)?) };
+        let of_node = if part.record == NONE { None } else { Some(pages.place(part.record, node.level)?) };
         let mut record = of_node.map_or(0, |place| place.first_child);
         let mask = of_node.map_or(0, |place| place.child_mask);
         for rank in (0..8).filter(|rank| node.child_mask >> rank & 1 == 1) {
@@ -205,38 +231,44 @@ impl Cut {
             return None;
         }
         self.parts.extend(&known);
-        Some(RecordRange { first, count: known.len() as u16, level, parts, one_part: false })
+        Some(RecordRange { first, count: known.len() as u16, level, parts })
     }
 
-    /// The cells of a leaf, level by level, until they stand for all of its points; and whether they
-    /// do so for each. Calls `see` with those that are seen, in groups, and the box of their
-    /// centroids.
+    /// The cells of a leaf, level by level, until they stand for all of its points; and those that are
+    /// left, which may be any if some are larger than their cells. Calls `see` with those that are seen, in groups, and the box that these reach
+    /// in.
     pub(super) fn cells(
         &mut self,
         seen: Seen<'_>,
         pages: &mut RecordPages<'_>,
         (node, part): (&Node, NodePart),
-        mut see: impl FnMut(RecordRange, Aabb, f64),
-    ) -> Result<(Vec<CellLevel>, bool), Halt> {
-        let pixel = seen.sight.pixel_at(pages.place(part.record)?.centroid);
-        let (mut levels, mut left, mut all) = (Vec::new(), part.rest, true);
+        mut see: impl FnMut(RecordRange, Aabb),
+    ) -> Result<(Vec<CellLevel>, Option<Left>), Halt> {
+        let pixel = seen.sight.pixel_at(pages.place(part.record, node.level)?.centroid);
+        let (mut levels, mut left) = (Vec::new(), part.rest);
+        let (mut ranges, mut some_larger) = (Left::default(), false);
         let (mut first, mut end, mut level) = (part.record, part.record + 1, node.level);
         while f64::from(left) > LEAST_PART
-            && let Some((first_child, last_child)) = self.children_of(seen.cloud, pages, first..end)?
+            && let Some((first_child, last_child)) =
+                self.children_of(seen.cloud, pages, (first..end, level))?
         {
             (first, end, level) = (first_child, last_child, level + 1);
             let edge = seen.edge(level);
-            let here = left * part_of_cell(edge, pixel) as f32;
-            left -= here;
-            let here = if f64::from(here) > LEAST_PART { here } else { 0.0 };
-            levels.push(CellLevel { first, end, level, edge, part: here });
-            if here == 0.0 {
-                continue;
+            let seen_part = |part: f32| if f64::from(part) > LEAST_PART { part } else { 0.0 };
+            let here = seen_part(left * part_of_cell(edge, pixel) as f32);
+            let of_last = seen_part(left * part_of_last_cell(edge, pixel) as f32);
+            let cells = CellLevel { first, end, level, edge, part: here, part_of_last: of_last };
+            let rest_of_last = seen_part(left - of_last);
+            left = seen_part(left - here);
+            levels.push(cells);
+            if of_last > 0.0 || rest_of_last > 0.0 {
+                let last = (rest_of_last > 0.0).then_some(&mut ranges.0);
+                self.group_cells(seen, pages, cells, (&mut see, last))?;
+                some_larger |= of_last > 0.0 && f64::from(node.radius_max) > edge;
             }
-            let points = self.group_cells(seen.cloud, pages, levels[levels.len() - 1], &mut see)?;
-            all &= points == node.points && f64::from(node.radius_max) <= edge;
         }
-        Ok((levels, all && f64::from(left) <= LEAST_PART))
+        ranges.0.sort_unstable();
+        Ok((levels, (!some_larger).then_some(ranges)))
     }
 
     /// The records below those of a range of cells, which follow each other.
@@ -244,50 +276,53 @@ impl Cut {
         &mut self,
         cloud: &CloudPlacement,
         pages: &mut RecordPages<'_>,
-        cells: Range<u32>,
+        (cells, level): (Range<u32>, u8),
     ) -> Result<Option<(u32, u32)>, Halt> {
         let mut with_children = |mut cells: Box<dyn Iterator<Item = u32>>| loop {
             let Some(cell) = cells.next() else { return Ok(None) };
             self.walk(cloud, pages, 1)?;
-            let place = pages.place(cell)?;
-            if place.child_mask != 0 {
+            let place = pages.place(cell, level)?;
+            if place.cells != 0 {
                 return Ok::<_, Halt>(Some(place));
             }
         };
         let Some(first) = with_children(Box::new(cells.clone()))? else { return Ok(None) };
         let Some(last) = with_children(Box::new(cells.rev()))? else { return Ok(None) };
-        let end = last.first_child + last.child_mask.count_ones();
+        let end = last.first_child.saturating_add(last.children());
         Ok((end > first.first_child).then_some((first.first_child, end)))
     }
 
-    /// Goes through the cells of a level in groups; returns how many points they have.
+    /// Goes through the cells of a level in groups; adds the points of those that are not divided to
+    /// `last`.
     fn group_cells(
         &mut self,
-        cloud: &CloudPlacement,
+        seen: Seen<'_>,
         pages: &mut RecordPages<'_>,
-        level: CellLevel,
-        see: &mut impl FnMut(RecordRange, Aabb, f64),
-    ) -> Result<u64, Halt> {
-        let parts = self.parts.len() as u32;
-        self.parts.push(level.part);
-        let (mut first, mut points) = (level.first, 0);
-        while first < level.end {
-            let count = GROUP.min(level.end - first).min(pages.left_in_page(first));
-            self.walk(cloud, pages, u64::from(count))?;
-            let mut centroids = Aabb::EMPTY;
+        cells: CellLevel,
+        (see, mut last): (&mut impl FnMut(RecordRange, Aabb), Option<&mut Vec<(u32, u32)>>),
+    ) -> Result<(), Halt> {
+        let mut first = cells.first;
+        while first < cells.end {
+            let count = GROUP.min(cells.end - first).min(pages.left_in_page(first));
+            self.walk(seen.cloud, pages, u64::from(count))?;
+            let (mut bounds, parts) = (Aabb::EMPTY, self.parts.len() as u32);
             for record in first..first + count {
-                let place = pages.place(record)?;
-                centroids.include(place.centroid);
-                points += u64::from(place.more_points) + 1;
+                let place = pages.place(record, cells.level)?;
+                let part = cells.part_of(&place);
+                if part > 0.0 {
+                    bounds = bounds.union(seen.lod.around(&place, seen.sight));
+                }
+                self.parts.push(part);
+                if let Some(last) = last.as_mut().filter(|_| place.cells == 0) {
+                    let begin = u32::from(place.first_point);
+                    last.push((begin, begin + u32::from(place.more_points) + 1));
+                }
             }
-            let count16 = count as u16;
-            see(
-                RecordRange { first, count: count16, level: level.level, parts, one_part: true },
-                centroids,
-                level.edge,
-            );
+            if !bounds.is_empty() {
+                see(RecordRange { first, count: count as u16, level: cells.level, parts }, bounds);
+            }
             first += count;
         }
-        Ok(points)
+        Ok(())
     }
 }

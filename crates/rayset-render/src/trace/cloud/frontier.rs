@@ -152,9 +152,12 @@ impl<'a> PacketInCloud<'a> {
         Some(Seen { cloud, lod, sight })
     }
 
-    /// A box of points as far as these reach for those who see them.
-    pub(super) fn as_seen(&self, bounds: Aabb) -> Aabb {
-        self.cloud.as_seen(bounds, (self.sight, self.lod))
+    /// A box of points as far as these reach by themselves for those who see them.
+    pub(super) fn points_as_seen(&self, bounds: Aabb) -> Aabb {
+        match self.from_afar() {
+            Some(Seen { lod, sight, .. }) => bounds.inflated(lod.reach_of_points(&bounds, sight)),
+            None => self.cloud.as_seen(bounds, (self.sight, None)),
+        }
     }
 
     /// The pages that are needed to open a node. From afar, points of a leaf may not be.
@@ -165,12 +168,12 @@ impl<'a> PacketInCloud<'a> {
 
     /// Bounds of influence of a node.
     pub(super) fn bounds(&self, node: &Node) -> Aabb {
-        self.as_seen(node.bounds(self.cloud.root_cell))
+        self.cloud.as_seen(node.bounds(self.cloud.root_cell), (self.sight, self.lod))
     }
 
     /// Bounds of influence of a run.
     pub(super) fn run_bounds(&self, points: &PointPage<'_>, run: usize) -> Aabb {
-        self.as_seen(run_bounds(self.cloud, points, run))
+        self.points_as_seen(run_bounds(self.cloud, points, run))
     }
 }
 

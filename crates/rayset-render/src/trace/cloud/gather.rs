@@ -128,7 +128,7 @@ impl Gathering<'_> {
                 let parts = covers.parts(out.radii(), run.head.len());
                 match what {
                     RunPart::Spread(_) => {
-                        seen.lod.decoder.spread_points(&parts, (sight, simd), out);
+                        out.spread_points(&seen.lod.decoder, &parts, (sight, simd));
                     }
                     _ => out.fade_points(&parts, sight, simd),
                 }
@@ -148,7 +148,7 @@ impl Gathering<'_> {
                 continue;
             }
             before = Some(records);
-            let (mut first, mut parts) = (records.first, &*self.cut.parts_of(records));
+            let (mut first, mut parts) = (records.first, self.cut.parts_of(records));
             while !parts.is_empty() {
                 let (page, number, index) = pages.page_of(first)?;
                 let (here, rest) = parts.split_at(parts.len().min(page.len().saturating_sub(index)));

@@ -12,12 +12,13 @@ use rayset_store::working_set::PageGuard;
 /// How far a Gaussian with the variance of what is in a box may reach beyond the box, in widths of
 /// the box: of a spread that ends at 3.1 deviations.
 const BEYOND: f64 = 1.15;
-/// How far a Gaussian reaches from its middle, in widths of the box that its mass is in.
-const FROM_MIDDLE: f64 = 1.55;
+/// How far a Gaussian reaches from its middle, in deviations.
+const DEVIATIONS: f64 = 3.1;
 /// How much farther each reaches because it is as wide as a pixel, in pixels.
 const OF_PIXEL: f64 = 1.2;
-/// The edge of cells that are seen in place of their points, at most, in pixels.
-const WIDEST_CELL: f64 = std::f64::consts::SQRT_2;
+/// The longest edge of cells that are seen in place of their points, in pixels: of two that have
+/// become one.
+const WIDEST_CELL: f64 = 2.0 * std::f64::consts::SQRT_2;
 
 /// What is needed to see a cloud from afar.
 pub(in crate::trace) struct CloudLod {
@@ -78,19 +79,19 @@ impl CloudLod {
     pub(in crate::trace) fn reach_in(&self, bounds: &Aabb, sight: &Sight, radius_max: f64) -> f64 {
         let pixel = sight.largest_pixel_in(bounds);
         let cell = WIDEST_CELL * pixel;
-        let width = bounds.size().max_element().min(cell + 2.0 * cell.min(radius_max));
+        let width = bounds.size().max_element().min(cell + cell.min(2.0 * radius_max));
         BEYOND * width + OF_PIXEL * pixel
     }
 
-    /// Where cells reach whose centroids are in a box, with points of radii up to one.
-    pub(super) fn around_cells(
-        &self,
-        centroids: &Aabb,
-        (edge, radius_max): (f64, f64),
-        sight: &Sight,
-    ) -> Aabb {
-        let width = edge + 2.0 * edge.min(radius_max);
-        centroids.inflated(FROM_MIDDLE * width + OF_PIXEL * sight.largest_pixel_in(centroids))
+    /// How far points in a box that are seen by themselves reach beyond what they reach as densities.
+    pub(super) fn reach_of_points(&self, bounds: &Aabb, sight: &Sight) -> f64 {
+        OF_PIXEL * sight.largest_pixel_in(bounds)
+    }
+
+    /// Where what stands for a cell reaches.
+    pub(super) fn around(&self, cell: &CellPlace, sight: &Sight) -> Aabb {
+        let reach = DEVIATIONS * cell.deviation + OF_PIXEL * sight.pixel_at(cell.centroid);
+        Aabb::new(cell.centroid, cell.centroid).inflated(reach)
     }
 }
 
@@ -132,10 +133,10 @@ impl<'a> RecordPages<'a> {
         Ok((AggregatePage::trusted(bytes, header, self.aggregates), page, index))
     }
 
-    /// What a walk reads of a record.
-    pub(super) fn place(&mut self, record: u32) -> Result<CellPlace, Halt> {
+    /// What a walk reads of the record of a cell at a level.
+    pub(super) fn place(&mut self, record: u32, level: u8) -> Result<CellPlace, Halt> {
         let (page, number, index) = self.page_of(record)?;
-        let place = page.place(index);
+        let place = page.place(index, level);
         place.ok_or_else(|| self.cloud.broken(number).into())
     }
 

@@ -1,7 +1,7 @@
 //! Opening the nodes that samples of a slab need: their points, their children, and what stands for
 //! them from afar.
 
-use super::cut::{Cut, NONE, NodeCut, NodePart, PointsOfNode, Seen};
+use super::cut::{Cut, Left, NONE, NodeCut, NodePart, PointsOfNode, Seen};
 use super::frontier::{
     Active, ActiveRecords, ActiveRuns, Ahead, Item, PacketInCloud, RunCut, Runs, each_own_page,
 };
@@ -70,6 +70,7 @@ impl<'t> Opening<'t> {
         }
         let node_bounds = &self.place.bounds(node);
         let mut cut = RunCut { node: of_node, first_point: 0 };
+        let left = self.cut.nodes.get(of_node as usize).and_then(|of| of.left.clone());
         each_own_page(access, cloud, node, |page, points, range| {
             if node.own.runs > MOST_SINGLE_RUNS {
                 let (first, last) = rays.ticks_in(packet, node_bounds).unwrap_or((0, 0));
@@ -82,7 +83,11 @@ impl<'t> Opening<'t> {
             }
             for index in range {
                 let of_run = cut;
-                cut.first_point += points.head(index).len() as u32;
+                let len = points.head(index).len() as u32;
+                cut.first_point += len;
+                if left.as_ref().is_some_and(|left| !left.has_some_of(of_run.first_point, len)) {
+                    continue;
+                }
                 let bounds = self.place.run_bounds(points, index);
                 let Some((first, last)) = rays.ticks_in(packet, &bounds) else { continue };
                 let item = Item::Runs(Runs { page, first: index as u16, end: index as u16 + 1 }, of_run);
@@ -104,13 +109,11 @@ impl<'t> Opening<'t> {
         let (Some(seen), Some(records)) = (self.place.from_afar(), &mut self.records) else {
             return Ok(Visit::Skip);
         };
-        let (mut levels, mut all_stand) = (Vec::new(), part.rest == 0.0);
+        let (mut levels, mut left) = (Vec::new(), (part.rest == 0.0).then(Left::default));
         if node.child_mask == 0 && part.record != NONE && part.rest > 0.0 {
             let PacketInCloud { packet, rays, .. } = self.place;
-            let radius_max = f64::from(node.radius_max);
             let heap = &mut *self.heap;
-            (levels, all_stand) = self.cut.cells(seen, records, (node, part), |range, centroids, edge| {
-                let bounds = seen.lod.around_cells(&centroids, (edge, radius_max), seen.sight);
+            (levels, left) = self.cut.cells(seen, records, (node, part), |range, bounds| {
                 if let Some((first, last)) = rays.ticks_in(packet, &bounds) {
                     heap.push(first, Ahead { last, item: Item::Records(range) });
                 }
@@ -118,10 +121,12 @@ impl<'t> Opening<'t> {
         }
         let edge = seen.cloud.root_cell.size * 2_f64.powi(-i32::from(node.level));
         // A node does not stand for points that are larger.
-        let some_larger = f64::from(node.radius_max) > edge;
-        if node.own.runs > 0 && (!all_stand || some_larger) {
+        if f64::from(node.radius_max) > edge {
+            left = None;
+        }
+        if node.own.runs > 0 && left.as_ref().is_none_or(|left| !left.is_empty()) {
             let of_node = self.cut.nodes.len() as u32;
-            self.cut.nodes.push(PointsOfNode { part, edge, levels });
+            self.cut.nodes.push(PointsOfNode { part, edge, levels, left });
             self.open_own(node, walk, of_node)?;
         }
         if part.rest == 0.0 || node.child_mask == 0 {
@@ -246,7 +251,7 @@ fn ranges_of_points(
             // Far larger than the rounding error when a point is added to samples.
             let reach = f64::from(radius) * (1.0 + 1e-4);
             // Between the rays of a packet there may be any number of points that no ray meets.
-            let bounds = place.as_seen(Aabb::new(position - reach, position + reach));
+            let bounds = place.points_as_seen(Aabb::new(position - reach, position + reach));
             rays.ticks_of_each(packet, &bounds)
         })
         .collect();

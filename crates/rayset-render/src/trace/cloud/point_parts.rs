@@ -41,7 +41,7 @@ impl<'t> Covers<'t> {
         for cells in &node.levels {
             let mut record = first_at(pages, *cells, first_point)?;
             while record < cells.end {
-                let place = pages.place(record)?;
+                let place = pages.place(record, cells.level)?;
                 let from = i64::from(place.first_point) - i64::from(first_point);
                 let end = from + i64::from(place.more_points) + 1;
                 if from >= len as i64 {
@@ -49,7 +49,13 @@ impl<'t> Covers<'t> {
                 }
                 let of_mass = seen.lod.decoder.of_mass(&pages.record(record, cells.level)?);
                 let (from, end) = (from.max(0) as usize, end.clamp(0, len as i64) as usize);
-                found.covers.push(Cover { from, end, edge: cells.edge, part: cells.part, of_mass });
+                found.covers.push(Cover {
+                    from,
+                    end,
+                    edge: cells.edge,
+                    part: cells.part_of(&place),
+                    of_mass,
+                });
                 record += 1;
             }
         }
@@ -82,7 +88,7 @@ fn first_at(pages: &mut RecordPages<'_>, cells: CellLevel, point: u32) -> Result
     let (mut low, mut high) = (cells.first, cells.end);
     while low < high {
         let middle = low + (high - low) / 2;
-        let place = pages.place(middle)?;
+        let place = pages.place(middle, cells.level)?;
         if u32::from(place.first_point) + u32::from(place.more_points) < point {
             low = middle + 1;
         } else {

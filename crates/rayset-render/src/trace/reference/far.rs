@@ -7,7 +7,9 @@
 use std::ops::Range;
 
 use crate::field::Sight;
-use crate::lod::{Absorber, CrossSections, LEAST_PART, SPREAD, Seen, Sums, density_part, part_of_cell};
+use crate::lod::{
+    Absorber, CrossSections, LEAST_PART, SPREAD, Seen, Sums, density_part, part_of_cell, part_of_last_cell,
+};
 use crate::scene::{Camera, CloudObject};
 use rayset_base::geometry::{DMat3, DVec3, Ray, Shape};
 use rayset_files::octree::Cloud;
@@ -136,7 +138,9 @@ impl Far {
         let mut pixel = None;
         if let Some(number) = record {
             let here = self.sight.pixel_at(self.file.records[number as usize].centroid);
-            let own = part_of_cell(self.edge(node.level.into()), here);
+            let is_last = self.file.records[number as usize].children() == 0;
+            let part_of = if is_last { part_of_last_cell } else { part_of_cell };
+            let own = part_of(self.edge(node.level.into()), here);
             of_mass = self.aggregate(number, part * own);
             below = part * (1.0 - own);
             pixel = Some(here);
@@ -191,16 +195,19 @@ impl Far {
         while !cells.is_empty() && left > LEAST_PART {
             level += 1;
             let children = |&cell: &u32| {
-                let Aggregate { child_mask, first_child, .. } = self.file.records[cell as usize];
-                first_child..first_child + child_mask.count_ones()
+                let record = self.file.records[cell as usize];
+                record.first_child..record.first_child + record.children()
             };
             cells = cells.iter().flat_map(children).collect();
             let edge = self.edge(level);
-            let here = left * part_of_cell(edge, pixel);
-            left -= here;
+            let (of_cell, of_last) = (part_of_cell(edge, pixel), part_of_last_cell(edge, pixel));
+            let before = left;
+            left -= before * of_cell;
             for &cell in &cells {
+                let record = self.file.records[cell as usize];
+                let here = before * if record.children() == 0 { of_last } else { of_cell };
                 let of_mass = self.aggregate(cell, here);
-                let Aggregate { first_point, more_points, .. } = self.file.records[cell as usize];
+                let Aggregate { first_point, more_points, .. } = record;
                 let first = usize::from(first_point);
                 for at in first..=first + usize::from(more_points) {
                     if self.file.points[own.start + at].radius <= edge {

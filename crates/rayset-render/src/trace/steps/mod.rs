@@ -46,7 +46,7 @@ const GRID_DETAIL: f64 = 2.0;
 
 /// Where points are seen from afar, steps are a fraction of no less than this many pixels: what is
 /// seen is as wide as a pixel.
-const PIXEL_DETAIL: f64 = 0.7;
+const PIXEL_DETAIL: f64 = 1.6;
 
 /// A sample within so many steps behind a boundary is lit at the boundary: it would otherwise
 /// shadow itself, to a degree that depends on how the lattice of samples happens to lie.
