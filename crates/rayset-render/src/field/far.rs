@@ -6,6 +6,7 @@
 //! closure needs are means over it, carried as attributes behind those of the cloud.
 
 use super::columns::{AttributeColumns, MAP_COLUMNS};
+use super::far_points::PointParts;
 use super::run::DecodedRun;
 use super::sight::Sight;
 use super::simd::SimdLevel;
@@ -28,12 +29,16 @@ pub(crate) enum FarChannel {
     Length,
     /// M/(P·c): sums to the density.
     Density,
+    /// −ln(1 − c)/c: sums to the area that is covered times the optical depth of what covers it.
+    Depth,
+    /// The first of three of the direction to the eye across flat ones, by how flat they are.
+    Normal,
     /// The first of three of a colour that follows from densities.
     Color,
 }
 
-/// Channels of the closure besides colours.
-const OF_CLOSURE: usize = 3;
+/// Channels of the closure besides directions and colours.
+pub(super) const OF_CLOSURE: usize = 4;
 
 /// Decodes what stands for the points of one cloud from afar.
 #[derive(Clone, Debug)]
@@ -42,6 +47,8 @@ pub(crate) struct FarDecoder {
     columns: AttributeColumns,
     /// Whether colours are those of densities.
     colors_densities: bool,
+    /// Whether the field carries directions across what is flat.
+    has_normals: bool,
     /// The value of each byte of a colour.
     color_from_byte: Box<[f32; 256]>,
 }
@@ -50,11 +57,12 @@ impl FarDecoder {
     /// For the cross-sections of a cloud's aggregates.
     pub(crate) fn new(sections: CrossSections, colors_densities: bool) -> Self {
         let (columns, color_from_byte) = (AttributeColumns::default(), Box::new([0.0; 256]));
-        Self { sections, columns, colors_densities, color_from_byte }
+        Self { sections, columns, colors_densities, has_normals: false, color_from_byte }
     }
 
-    /// The same, for a field that carries some attributes of the cloud.
-    pub(crate) fn carrying(&mut self, columns: &AttributeColumns) {
+    /// Sets which attributes of the cloud fields carry, and whether directions.
+    pub(crate) fn carry(&mut self, columns: &AttributeColumns, normals: bool) {
+        self.has_normals = normals;
         let color = |display: f64| {
             if columns.color_as_displayed { display } else { linear_from_srgb(display) }
         };
@@ -72,12 +80,26 @@ impl FarDecoder {
     /// Number of channels of a field.
     pub(crate) fn channels(&self) -> usize {
         let colors = if self.colors_densities { 3 } else { 0 };
-        self.columns.channels() + OF_CLOSURE + colors
+        let normals = if self.has_normals { 3 } else { 0 };
+        self.columns.channels() + OF_CLOSURE + normals + colors
     }
 
     /// The number of a channel.
     pub(crate) fn channel(&self, channel: FarChannel) -> usize {
-        self.columns.channels() + channel as usize
+        self.columns.channels()
+            + match channel {
+                FarChannel::Cover => 0,
+                FarChannel::Length => 1,
+                FarChannel::Density => 2,
+                FarChannel::Depth => 3,
+                FarChannel::Normal => OF_CLOSURE,
+                FarChannel::Color => OF_CLOSURE + if self.has_normals { 3 } else { 0 },
+            }
+    }
+
+    /// Whether fields carry directions across what is flat.
+    pub(crate) fn has_normals(&self) -> bool {
+        self.has_normals
     }
 
     /// The first channel of the closure.
@@ -92,21 +114,22 @@ impl FarDecoder {
 
     /// Gives points, as they are decoded for a field of densities, the channels of the closure, and
     /// colours if these follow from densities.
-    pub(super) fn color_points(&self, run: &mut DecodedRun) {
+    pub(super) fn color_points(&self, run: &mut DecodedRun, parts: &PointParts) {
         run.attribute.resize(self.channels(), [0.0; RUN_POINTS]);
         if self.colors_densities {
             let first = self.channel(FarChannel::Color);
             for i in 0..run.len {
-                let color = self.sections.color_at(f64::from(run.points.weight[i]));
-                (0..3).for_each(|channel| run.attribute[first + channel][i] = color[channel]);
+                (0..3).for_each(|channel| run.attribute[first + channel][i] = parts.color[i][channel]);
             }
         }
     }
 
-    /// The area that a unit of an aggregate's mass takes of the light.
-    pub(crate) fn of_mass(&self, aggregate: &Aggregate) -> f64 {
+    /// The area that a unit of an aggregate's mass takes of the light, and its colour, if colours
+    /// follow from densities.
+    pub(crate) fn of_mass(&self, aggregate: &Aggregate) -> (f64, [f32; 3]) {
         let absorber = Absorber::of(aggregate, &self.sections);
-        absorber.cross_section / absorber.mass
+        let color = if self.colors_densities { self.sections.color(aggregate) } else { [0.0; 3] };
+        (absorber.cross_section / absorber.mass, color)
     }
 
     /// Decodes some records of a page, all of one level, each by a part.
@@ -133,6 +156,9 @@ impl FarDecoder {
             let absorber = Absorber::of(&aggregate, &self.sections);
             let seen = absorber.seen(sight.eye.toward(absorber.center), sight.pixel_at(absorber.center));
             let Some(at) = writer.add(&seen, part) else { continue };
+            if self.has_normals {
+                writer.add_normal(at, absorber.normal(sight.eye.toward(absorber.center)));
+            }
             self.attributes(header, &aggregate, (page, index), at, writer.out);
         }
         writer.finish(simd);
@@ -223,6 +249,7 @@ impl<'t> FarWriter<'t> {
         out.attribute[self.first][at] = per_opacity as f32;
         out.attribute[self.first + 1][at] = (seen.length * per_opacity) as f32;
         out.attribute[self.first + 2][at] = (seen.mass * per_opacity / seen.area) as f32;
+        out.attribute[self.first + 3][at] = (seen.depth * per_opacity) as f32;
         let (axes, squares) = (seen.axes, radii * radii);
         let across = (0..3).map(|axis| {
             let row = axes.row(axis);
@@ -234,6 +261,11 @@ impl<'t> FarWriter<'t> {
         self.least_radius = self.least_radius.min(radii.min_element());
         self.len += 1;
         Some(at)
+    }
+
+    fn add_normal(&mut self, at: usize, normal: DVec3) {
+        let columns = &mut self.out.attribute[self.first + OF_CLOSURE..];
+        columns.iter_mut().zip(normal.to_array()).for_each(|(column, v)| column[at] = v as f32);
     }
 
     /// Finishes the run. Single precision suffices: what is rounded is a small part of a pixel.

@@ -2,7 +2,7 @@
 //! as Gaussians.
 
 use super::columns::{MAP_COLUMNS, PointColumns};
-use super::far::{FarDecoder, LEAST_OPACITY};
+use super::far::{FarDecoder, LEAST_OPACITY, OF_CLOSURE};
 use super::run::DecodedRun;
 use super::sight::{Eye, Sight};
 use super::simd::{SimdLevel, dispatch};
@@ -18,6 +18,8 @@ type Column = [f32; RUN_POINTS];
 pub(crate) struct PointParts {
     pub(crate) part: Column,
     pub(crate) of_mass: [f64; RUN_POINTS],
+    /// The colour around it, if colours follow from densities; linear light.
+    pub(crate) color: [[f32; 3]; RUN_POINTS],
 }
 
 /// From where the points of a run are seen.
@@ -87,6 +89,8 @@ struct Spread {
     per_opacity: Column,
     length: Column,
     density: Column,
+    depth: Column,
+    normal: [Column; 3],
     reach: [f32; 3],
     least_radius: f32,
 }
@@ -142,7 +146,7 @@ impl DecodedRun {
         parts: &PointParts,
         (sight, simd): (&Sight, SimdLevel),
     ) {
-        decoder.color_points(self);
+        decoder.color_points(self, parts);
         let mut stay = [0; 2];
         let mut least_radius = f32::INFINITY;
         let first = decoder.first_of_closure();
@@ -159,6 +163,10 @@ impl DecodedRun {
             self.attribute[first] = spread.per_opacity;
             self.attribute[first + 1] = spread.length;
             self.attribute[first + 2] = spread.density;
+            self.attribute[first + 3] = spread.depth;
+            if decoder.has_normals() {
+                self.attribute[first + OF_CLOSURE..first + OF_CLOSURE + 3].copy_from_slice(&spread.normal);
+            }
             self.reach = spread.reach;
             least_radius = spread.least_radius;
         });
@@ -210,6 +218,8 @@ fn spread(decoder: &FarDecoder, run: &DecodedRun, parts: &PointParts, seen: &See
         per_opacity: [0.0; RUN_POINTS],
         length: [0.0; RUN_POINTS],
         density: [0.0; RUN_POINTS],
+        depth: [0.0; RUN_POINTS],
+        normal: [[0.0; RUN_POINTS]; 3],
         reach: [0.0; 3],
         least_radius: f32::INFINITY,
     };
@@ -252,7 +262,8 @@ fn spread(decoder: &FarDecoder, run: &DecodedRun, parts: &PointParts, seen: &See
         let v = [mu, mu * ratios[0][i] * ratios[0][i], mu * ratios[1][i] * ratios[1][i]];
         let area = across[0] * v[1] * v[2] + across[1] * v[2] * v[0] + across[2] * v[0] * v[1];
         let area = 12.0 * radius * radius * area.max(0.0).sqrt();
-        let opacity = absorbed((cross[i] / area.max(f32::MIN_POSITIVE)).min(MOST_DEPTH as f32));
+        let depth = (cross[i] / area.max(f32::MIN_POSITIVE)).min(MOST_DEPTH as f32);
+        let opacity = absorbed(depth);
         let of_pixel = seen.pixel_squared[i] * (1.0 / 12.0);
         let s = v.map(|v| v * radius * radius + of_pixel);
         let least = s[0].min(s[1]).min(s[2]);
@@ -265,10 +276,17 @@ fn spread(decoder: &FarDecoder, run: &DecodedRun, parts: &PointParts, seen: &See
         let weight = part * opacity * (per_integral * area / r[0] / r[1] / r[2]);
         let is_seen = part > LEAST_PART as f32 && opacity > LEAST_OPACITY as f32 && weight < 1e30;
         out.weight[i] = if is_seen { weight } else { 0.0 };
+        // Ellipsoids have their shortest axis last.
+        let flat = 1.0 - v[2] / v[1];
+        let against = if dot(axis[2], toward) > 0.0 { -flat * flat } else { flat * flat };
+        for j in 0..3 {
+            out.normal[j][i] = against * axis[2][j];
+        }
         out.radius[i] = r[0].max(r[1]).max(r[2]);
         shortest[i] = r[0].min(r[1]).min(r[2]);
         out.per_opacity[i] = per_opacity;
         out.length[i] = length * per_opacity;
+        out.depth[i] = depth * per_opacity;
         out.density[i] = mass[i] * per_opacity / area.max(f32::MIN_POSITIVE);
         for row in 0..3 {
             for j in 0..3 {

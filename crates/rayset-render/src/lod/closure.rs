@@ -48,6 +48,16 @@ impl Absorber {
         }
     }
 
+    /// The direction across it, against one to it, of a length that says how flat it is: 0 to 1.
+    pub(crate) fn normal(&self, toward: DVec3) -> DVec3 {
+        let v = self.variances;
+        let (least, axis) = (v.min_element(), v.min_position());
+        let middle = v.x + v.y + v.z - least - v.max_element();
+        let flat = if middle > 0.0 { 1.0 - least / middle } else { 0.0 };
+        let across = self.axes.col(axis) * (flat * flat);
+        if across.dot(toward) > 0.0 { -across } else { across }
+    }
+
     /// What is seen of it along a direction, with a pixel of this edge.
     pub(crate) fn seen(&self, direction: DVec3, pixel: f64) -> Seen {
         let across = self.axes.transpose() * direction;
@@ -68,6 +78,7 @@ impl Absorber {
             mass: self.mass,
             area: if area > 0.0 { area } else { self.cross_section / MOST_DEPTH },
             opacity: -(-depth).exp_m1(),
+            depth,
             length,
         }
     }
@@ -86,6 +97,8 @@ pub(crate) struct Seen {
     pub(crate) area: f64,
     /// c, the part of the light that it takes there.
     pub(crate) opacity: f64,
+    /// −ln(1 − c).
+    pub(crate) depth: f64,
     /// L, how long it is along the direction.
     pub(crate) length: f64,
 }
@@ -98,6 +111,7 @@ pub(crate) struct Sums {
     area: f64,
     area_length: f64,
     area_opacity: f64,
+    area_depth: f64,
 }
 
 impl Sums {
@@ -108,6 +122,7 @@ impl Sums {
         self.area += area;
         self.area_length += area * seen.length;
         self.area_opacity += area * seen.opacity;
+        self.area_depth += area * seen.depth;
     }
 
     /// σ, the extinction at the place.
@@ -118,10 +133,15 @@ impl Sums {
         // How much of a pixel is covered, over the length of what covers it.
         let (length, covered) = (self.area_length / self.area, self.area_length);
         let opacity = (self.area_opacity / self.area).min(MOST_OPACITY);
+        let depth = self.area_depth / self.area;
         if STACKING * covered < 1.0 {
+            // What is beside each other takes light by its mean opacity, what is behind each other
+            // by its mean depth.
+            let behind = STACKING * covered;
+            let opacity = opacity + behind * (-(-depth).exp_m1() - opacity).max(0.0);
             -(-STACKING * covered * opacity).ln_1p() / (STACKING * length)
         } else {
-            -covered * (-opacity).ln_1p() / length
+            covered * depth / length
         }
     }
 }

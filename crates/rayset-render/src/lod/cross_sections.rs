@@ -95,6 +95,12 @@ impl CrossSections {
         if granularity == 0.0 {
             return first;
         }
+        // What hardly shadows itself takes what all of it would by itself.
+        let strongest = means.iter().map(|m| if m.first > 0.0 { m.second / m.first } else { 0.0 });
+        let most = strongest.fold(0.0, f64::max);
+        if 0.5 * granularity * most * GRAIN * aggregate.radius < 1e-3 {
+            return first;
+        }
         let density: [f64; BINS] = std::array::from_fn(|bin| bins.lower_bound(bin) * middle(bins.width));
         let mean_density: f64 = fractions.iter().zip(&density).map(|(f, d)| f * d).sum();
         let longest = GRAIN * aggregate.radius * (filled * mean_density / mass).min(1.0);
@@ -103,17 +109,10 @@ impl CrossSections {
             if !(fractions[bin] * first > 0.0) {
                 return 0.0;
             }
-            let way = longest.min((mass * fractions[bin] / density[bin]).cbrt());
+            let way = longest.min(root3(mass * fractions[bin] / density[bin]));
             fractions[bin] * first / (1.0 + 0.5 * granularity * (second / first) * way)
         };
         mass * (0..BINS).map(of_bin).sum::<f64>()
-    }
-
-    /// The colour of a density; linear light.
-    pub(crate) fn color_at(&self, density: f64) -> [f32; 3] {
-        let half_octaves = (2.0 * density.max(f64::MIN_POSITIVE).log2()).floor() as i32;
-        let at = half_octaves.clamp(-MOST_HALF_OCTAVES, MOST_HALF_OCTAVES - 1) + MOST_HALF_OCTAVES;
-        self.colors.get(at as usize).copied().unwrap_or_default()
     }
 
     /// The mean colour of what absorbs in an aggregate, by its densities; linear light.
@@ -143,6 +142,17 @@ fn densities(width: Width, begins: i32) -> impl Iterator<Item = f64> {
     (0..DENSITIES).map(move |at| lower * (octaves * (at as f64 + 0.5) / DENSITIES as f64).exp2())
 }
 
+/// The cube root of a number above 0, to a millionth.
+fn root3(x: f64) -> f64 {
+    // A third of the exponent, and two steps of Halley's method.
+    let mut root = f64::from_bits(x.to_bits() / 3 + (1023_u64 << 52) / 3 * 2);
+    for _ in 0..2 {
+        let cube = root * root * root;
+        root *= (cube + 2.0 * x) / (2.0 * cube + x);
+    }
+    root
+}
+
 /// The mean density of a bin, in parts of the least.
 fn middle(width: Width) -> f64 {
     const MIDDLES: [f64; 4] = [1.194_793_944, 1.440_891_55, 2.153_249_96, 5.303_300_859];
@@ -159,6 +169,14 @@ mod tests {
         for width in WIDTHS {
             let mean = densities(width, 0).sum::<f64>() / DENSITIES as f64;
             assert!((middle(width) / mean - 1.0).abs() < 1e-6, "{width:?}: {mean}");
+        }
+    }
+
+    #[test]
+    fn cube_roots_are_right_to_a_millionth() {
+        for i in -400..400 {
+            let x = 1.37_f64.powi(i);
+            assert!((root3(x) / x.cbrt() - 1.0).abs() < 1e-6, "{x}: {}", root3(x));
         }
     }
 

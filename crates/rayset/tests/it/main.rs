@@ -40,6 +40,7 @@ mod las_peer;
 #[allow(dead_code, reason = "the program's tests use the rest")]
 mod las_writer;
 mod layers;
+mod lod;
 mod many_threads;
 mod meshes;
 mod normals;

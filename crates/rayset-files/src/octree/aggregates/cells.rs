@@ -17,10 +17,6 @@ use rayset_base::geometry::curve::{MAX_LEVEL, hilbert};
 /// points in tight clumps, each of which would have one at every level.
 const MOST_LEVELS_BELOW: u32 = 6;
 
-/// Cells with less than this part of the points with which one is divided become one with a
-/// neighbour.
-const TINY_PART: usize = 8;
-
 /// How many cells are below another, and the number of the first among those of its level.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Cells {
@@ -77,44 +73,24 @@ impl OwnPoints<'_> {
         let shift = 3 * (MAX_LEVEL - level - 1);
         let mut count = 0_u8;
         let mut siblings = Vec::new();
-        for part in self.parts(codes, range.clone(), shift) {
-            let (below, cells) = self.cell(codes, part.clone(), (level + 1, of_leaf), records);
-            moments.merge(&below);
-            if let Some(mut aggregate) = below.aggregate(self.densities) {
-                (aggregate.cells, aggregate.first_child) = (cells.count, cells.first);
-                aggregate.first_point = part.start as u16;
-                aggregate.more_points = (part.len() - 1) as u16;
-                count += 1;
-                self.maker.encode(&aggregate, &below, level + 1, &mut siblings);
-            }
-        }
-        self.add(range, (0.5 * edge, edge), &mut moments);
-        let first = records.append((level - of_leaf) as usize, &siblings, self.maker.record_bytes());
-        (moments, Cells { count, first })
-    }
-
-    /// Divides points by the cells that their codes have without the last bits. A cell of very few
-    /// points becomes one with the cell before or behind it on the curve, which it has a side in
-    /// common with; of no more than one.
-    fn parts(&self, codes: &[u64], range: Range<usize>, shift: u32) -> Vec<Range<usize>> {
-        let tiny = self.few / TINY_PART;
-        // Each with the code of its last cell, and how many cells it has.
-        let mut parts: Vec<(Range<usize>, u64, u32)> = Vec::new();
         let mut start = range.start;
         while start < range.end {
             let cell = codes[start] >> shift;
             let end = start + codes[start..range.end].partition_point(|code| code >> shift <= cell);
-            match parts.last_mut() {
-                Some((last, of, cells))
-                    if *cells == 1 && *of + 1 == cell && last.len().min(end - start) < tiny =>
-                {
-                    (last.end, *of, *cells) = (end, cell, 2);
-                }
-                _ => parts.push((start..end, cell, 1)),
+            let (below, cells) = self.cell(codes, start..end, (level + 1, of_leaf), records);
+            moments.merge(&below);
+            if let Some(mut aggregate) = below.aggregate(self.densities) {
+                (aggregate.cells, aggregate.first_child) = (cells.count, cells.first);
+                aggregate.first_point = start as u16;
+                aggregate.more_points = (end - start - 1) as u16;
+                count += 1;
+                self.maker.encode(&aggregate, &below, level + 1, &mut siblings);
             }
             start = end;
         }
-        parts.into_iter().map(|(part, ..)| part).collect()
+        self.add(range, (0.5 * edge, edge), &mut moments);
+        let first = records.append((level - of_leaf) as usize, &siblings, self.maker.record_bytes());
+        (moments, Cells { count, first })
     }
 
     /// Adds those of some points whose radii are above a length and no more than another.

@@ -244,7 +244,11 @@ impl Cut {
         (node, part): (&Node, NodePart),
         mut see: impl FnMut(RecordRange, Aabb),
     ) -> Result<(Vec<CellLevel>, Option<Left>), Halt> {
-        let pixel = seen.sight.pixel_at(pages.place(part.record, node.level)?.centroid);
+        let place = pages.place(part.record, node.level)?;
+        if place.cells == 0 {
+            return Ok((Vec::new(), None));
+        }
+        let pixel = seen.sight.pixel_at(place.centroid);
         let (mut levels, mut left) = (Vec::new(), part.rest);
         let (mut ranges, mut some_larger) = (Left::default(), false);
         let (mut first, mut end, mut level) = (part.record, part.record + 1, node.level);

@@ -46,10 +46,6 @@ pub(super) struct RunCut {
     pub(super) first_point: u32,
 }
 
-impl RunCut {
-    pub(super) const WHOLE: Self = Self { node: NONE, first_point: 0 };
-}
-
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ahead {
     /// Last tick that it may reach.
@@ -97,6 +93,11 @@ impl Active {
 
     pub(super) fn is_empty(&self) -> bool {
         self.runs.is_empty() && self.records.is_empty()
+    }
+
+    /// Whether any of it is not seen whole.
+    pub(super) fn some_from_afar(&self) -> bool {
+        !self.records.is_empty() || self.runs.iter().any(|runs| runs.cut.node != NONE)
     }
 
     /// Whether anything reaches a tick or what is behind it.

@@ -50,7 +50,7 @@ impl Gathering<'_> {
         let PacketInCloud { access, cloud, packet, rays, .. } = self.place;
         let slab = self.request.slab;
         let matters = |runs: &ActiveRuns| {
-            (what == RunPart::Whole || runs.cut != RunCut::WHOLE) && self.matters((runs.first, runs.last))
+            (what == RunPart::Whole || runs.cut.node != NONE) && self.matters((runs.first, runs.last))
         };
         // A run with several ranges of samples is added only once.
         let mut before = None;

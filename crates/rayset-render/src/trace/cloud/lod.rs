@@ -16,9 +16,9 @@ const BEYOND: f64 = 1.15;
 const DEVIATIONS: f64 = 3.1;
 /// How much farther each reaches because it is as wide as a pixel, in pixels.
 const OF_PIXEL: f64 = 1.2;
-/// The longest edge of cells that are seen in place of their points, in pixels: of two that have
-/// become one.
-const WIDEST_CELL: f64 = 2.0 * std::f64::consts::SQRT_2;
+/// The longest edge of cells that are seen in place of their points, in pixels: of those that are
+/// not divided.
+const WIDEST_CELL: f64 = 2.0;
 
 /// What is needed to see a cloud from afar.
 pub(in crate::trace) struct CloudLod {
@@ -60,9 +60,9 @@ impl CloudLod {
         Some(Self { factor: factor.into(), aggregates, decoder, stretch })
     }
 
-    /// Sets which attributes fields carry.
-    pub(in crate::trace) fn carry(&mut self, columns: &AttributeColumns) {
-        self.decoder.carrying(columns);
+    /// Sets which attributes fields carry, and whether they do directions across what is flat.
+    pub(super) fn carry(&mut self, columns: &AttributeColumns, normals: bool) {
+        self.decoder.carry(columns, normals);
     }
 
     /// Bytes that it takes besides itself.

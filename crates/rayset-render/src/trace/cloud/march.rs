@@ -191,7 +191,7 @@ impl CloudMarch {
         let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
         let mut to = Samples { splatter, batch: &mut *batch, counts: &mut *counts, field: &mut *field };
         gathering.runs(&self.active.runs, RunPart::Whole, &mut to)?;
-        let Some(lod) = lod else {
+        let Some(lod) = lod.filter(|_| self.active.some_from_afar()) else {
             to.splat(on, request.ray_ends(&volume.shading));
             // Opacities are no depths: where a ray ends is not found by adding them.
             let ends = request.ends.filter(|_| measure == Measure::OpticalDepth).map(|ends| &ends.depth);

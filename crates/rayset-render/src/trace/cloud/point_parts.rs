@@ -17,14 +17,14 @@ struct Cover {
     edge: f64,
     /// The part of its points for which it stands.
     part: f32,
-    /// The area that a unit of its mass takes of the light.
-    of_mass: f64,
+    /// The area that a unit of its mass takes of the light, and its colour.
+    of_mass: (f64, [f32; 3]),
 }
 
 /// What stands for points of a run.
 pub(super) struct Covers<'t> {
     node: &'t PointsOfNode,
-    of_mass: f64,
+    of_mass: (f64, [f32; 3]),
     covers: Vec<Cover>,
 }
 
@@ -65,12 +65,14 @@ impl<'t> Covers<'t> {
     /// The parts of points with these radii.
     pub(super) fn parts(&self, radii: &[f32; RUN_POINTS], len: usize) -> PointParts {
         let rest = self.node.part.rest;
-        let mut parts = PointParts { part: [rest; RUN_POINTS], of_mass: [self.of_mass; RUN_POINTS] };
+        let (of_mass, color) = self.of_mass;
+        let (of_mass, color) = ([of_mass; RUN_POINTS], [color; RUN_POINTS]);
+        let mut parts = PointParts { part: [rest; RUN_POINTS], of_mass, color };
         for &Cover { from, end, edge, part, of_mass } in &self.covers {
             for i in from..end.max(from) {
                 if f64::from(radii[i]) <= edge {
                     parts.part[i] = (parts.part[i] - part).max(0.0);
-                    parts.of_mass[i] = of_mass;
+                    (parts.of_mass[i], parts.color[i]) = of_mass;
                 }
             }
         }

@@ -70,7 +70,7 @@ pub(in crate::trace) struct CloudShading {
     least_weight: f32,
     /// Maps gradients in the cloud's space to vectors in world space that point to lower density;
     /// by columns.
-    normal_map: [[f32; 3]; 3],
+    pub(super) normal_map: [[f32; 3]; 3],
 }
 
 impl CloudShading {

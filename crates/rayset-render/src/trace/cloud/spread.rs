@@ -5,7 +5,7 @@ use super::lod::CloudLod;
 use super::shading::{Carried, CloudShading, Color, opacity_of_optical_depth};
 use crate::field::{FarChannel, FieldSamples, LANES, SLAB_SAMPLES, SampleRow, SimdLevel, dispatch};
 use crate::lod::{MOST_OPACITY, STACKING};
-use crate::math::ln;
+use crate::math::{absorbed, ln};
 use crate::trace::display_values::all_to_linear;
 use crate::trace::node_samples::{Measure, NodeSamples, RequiredOutputs, ZERO, each_lane, numbers};
 
@@ -88,10 +88,10 @@ impl CloudShading {
     ) {
         let area = &spread.density[lane].0;
         let of = |channel: FarChannel| &spread.attribute[lod.decoder.channel(channel)][lane].0;
-        let (cover, length) = (of(FarChannel::Cover), of(FarChannel::Length));
+        let sums = [area, of(FarChannel::Cover), of(FarChannel::Length), of(FarChannel::Depth)];
         let per_local = (self.unit_distance * lod.stretch) as f32;
         dispatch!(simd.level(), _simd =>
-            closed((area, cover, length), per_local, &mut out.opacity[lane].0));
+            closed(sums, per_local, &mut out.opacity[lane].0));
         let mean = |channel: usize| {
             let sum = &spread.attribute[channel][lane].0;
             let of = |j: usize| if area[j] > LEAST_AREA { sum[j] / area[j] } else { 0.0 };
@@ -111,7 +111,7 @@ impl CloudShading {
         if required.normal || required.boundary {
             // The boundary is where half of a pixel is covered.
             let covered =
-                SampleRow(std::array::from_fn(|j| area[j] * (0.5 / length[j].max(f32::MIN_POSITIVE))));
+                SampleRow(std::array::from_fn(|j| area[j] * (0.5 / sums[2][j].max(f32::MIN_POSITIVE))));
             self.fill_vectors(
                 (&spread.gradient, &spread.density[lane]),
                 &covered,
@@ -119,9 +119,34 @@ impl CloudShading {
                 out,
             );
         }
+        if required.normal && lod.decoder.has_normals() {
+            let first = lod.decoder.channel(FarChannel::Normal);
+            self.turn_to_flat([mean(first), mean(first + 1), mean(first + 2)], lane, out);
+        }
         if required.material {
             for (rows, &v) in out.material.iter_mut().zip(&self.material) {
                 rows[lane].0.fill(v);
+            }
+        }
+    }
+
+    /// Turns shading vectors, by the gradient of the field, to the direction across what is flat,
+    /// which says more of a surface than how what stands for it overlaps.
+    fn turn_to_flat(&self, flat: [SampleRow; 3], lane: usize, out: &mut NodeSamples) {
+        let m = &self.normal_map;
+        let scale = 1.0 / m.iter().map(|column| column[0] * column[0]).sum::<f32>().sqrt();
+        for j in 0..SLAB_SAMPLES {
+            let local = flat.each_ref().map(|row| -row.0[j] * scale);
+            let length = (local[0] * local[0] + local[1] * local[1] + local[2] * local[2]).sqrt() / scale;
+            let rest = (1.0 - length).max(0.0);
+            let mut sum = [0.0; 3];
+            for axis in 0..3 {
+                let world = m[0][axis] * local[0] + m[1][axis] * local[1] + m[2][axis] * local[2];
+                sum[axis] = world + rest * out.normal[axis][lane].0[j];
+            }
+            let length = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
+            for axis in 0..3 {
+                out.normal[axis][lane].0[j] = if length > 1e-6 { sum[axis] / length } else { 0.0 };
             }
         }
     }
@@ -167,23 +192,23 @@ impl CloudShading {
 }
 
 /// The closure: optical depths per unit distance, which is so long in the cloud's space, of sums of
-/// the area that takes light, of that which is covered, and of this times its length.
+/// the area that takes light, of that which is covered, and of this times its length and times its
+/// depth; as `lod::closure` has it in double precision.
 #[inline(always)]
-fn closed(
-    (area, cover, length): (&[f32; SLAB_SAMPLES], &[f32; SLAB_SAMPLES], &[f32; SLAB_SAMPLES]),
-    unit: f32,
-    depth: &mut [f32; SLAB_SAMPLES],
-) {
+fn closed([area, cover, length, depth]: [&[f32; SLAB_SAMPLES]; 4], unit: f32, out: &mut [f32; SLAB_SAMPLES]) {
     let stacking = STACKING as f32;
     for j in 0..SLAB_SAMPLES {
         let (covered, per_cover) = (length[j], 1.0 / cover[j].max(f32::MIN_POSITIVE));
         let opacity = (area[j] * per_cover).min(MOST_OPACITY as f32);
         // The length of what covers the pixel.
         let long = (covered * per_cover).max(f32::MIN_POSITIVE);
-        let beside = minus_ln_1m((stacking * covered * opacity).min(0.999_999)) / (stacking * long);
-        let behind = covered * minus_ln_1m(opacity) / long;
-        let sigma = if stacking * covered < 1.0 { beside } else { behind };
-        depth[j] = if cover[j] > 0.0 { sigma * unit } else { 0.0 };
+        let mean_depth = depth[j] * per_cover;
+        let overlap = stacking * covered;
+        let opacity = opacity + overlap * (absorbed(mean_depth) - opacity).max(0.0);
+        let beside = minus_ln_1m((overlap * opacity).min(0.999_999)) / (stacking * long);
+        let behind = covered * mean_depth / long;
+        let sigma = if overlap < 1.0 { beside } else { behind };
+        out[j] = if cover[j] > 0.0 { sigma * unit } else { 0.0 };
     }
 }
 

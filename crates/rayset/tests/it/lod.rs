@@ -1,0 +1,88 @@
+//! What is seen of points from afar by the renderer is what the judge says that is seen of them, on
+//! any machine, by any way of working; and points that are large are seen as they always were.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use rayset::cancel::CancelToken;
+use rayset::geometry::DVec3;
+use rayset::octree::Cloud;
+use rayset::octree::aggregates::{AggregateOptions, add_to_file};
+use rayset::octree::build::{BuildOptions, Rule};
+use rayset::points::Workload;
+use rayset::scene::{
+    Camera, CloudObject, ColorRule, Lighting, Lod, OpacityRule, Projection, Scene, Step, TransferFunction,
+};
+use rayset::trace::ExecSettings;
+use rayset::trace::reference::far::{Far, opacities};
+
+use crate::common::{build_at, folder, mixed_points, paged, picture, settings};
+
+fn add(path: &Path) {
+    let options = AggregateOptions::default().with_memory_bytes(64 << 20).with_threads(2);
+    add_to_file(path, path, &options, &|_, _| {}, &CancelToken::new()).expect("aggregates");
+}
+
+/// A cloud in a file, around the origin, seen from a distance.
+fn seen_from(path: &Path, distance: f64) -> (CloudObject, Camera) {
+    let cloud = Arc::new(Cloud::open(path).expect("it opens"));
+    let transfer = TransferFunction { opacity: OpacityRule::Clamp, color: ColorRule::Uniform([1.0; 3]) };
+    let position = DVec3::new(0.0, 0.0, -distance);
+    let projection = Projection::Perspective { fovy: 2.0 * (1.3 / distance).atan() };
+    let camera = Camera { position, direction: DVec3::Z, up: DVec3::Y, projection };
+    (CloudObject { transfer, ..CloudObject::plain(cloud) }, camera)
+}
+
+fn sphere(path: &Path, name: &str) {
+    let workload: Workload = name.parse().expect("a workload");
+    let asked = BuildOptions { radius: workload.radius().map(Rule::Number), ..BuildOptions::default() };
+    build_at(path, workload.source(), &asked);
+    add(path);
+}
+
+/// The mean and the largest difference of a picture's opacities from those of the judge.
+fn compare(object: &CloudObject, camera: &Camera, size: u32, factor: f32) -> (f64, f64) {
+    let scene = Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object.clone()) };
+    let settings =
+        settings(size, size).with_lod(Lod::Footprint(factor)).with_step(Step::Automatic { fraction: 0.1 });
+    let settings = settings.with_stop_transmittance(0.0);
+    let picture = picture(&scene, camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30));
+    let far = Far::new(object, scene.unit_distance, (camera, size, size), factor.into()).expect("a file");
+    let judged = opacities(&far.expect("aggregates"), (camera, size, size));
+    let (mut sum, mut most) = (0.0, 0.0_f64);
+    for (at, (pixel, judged)) in picture.expect("a picture").iter().zip(&judged).enumerate() {
+        let off = f64::from(pixel[3]) - judged;
+        if off.abs() > 0.05 {
+            eprintln!("{},{}: {} of {judged}", at as u32 % size, at as u32 / size, pixel[3]);
+        }
+        sum += off.abs();
+        most = most.max(off.abs());
+    }
+    (sum / judged.len() as f64, most)
+}
+
+#[test]
+fn pictures_from_afar_are_those_of_the_judge() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    sphere(&path, "sphere-100000");
+    let (mut object, camera) = seen_from(&path, 3.0);
+    for (rule, size, factor) in [
+        (OpacityRule::Clamp, 48, 1.0),
+        (OpacityRule::Clamp, 48, 0.4),
+        (OpacityRule::Extinction(0.5), 32, 1.0),
+        (OpacityRule::Extinction(40.0), 24, 3.0),
+    ] {
+        object.transfer.opacity = rule;
+        let (mean, most) = compare(&object, &camera, size, factor);
+        assert!(mean < 2e-3 && most < 0.02, "{size} {factor}: {mean}, {most}");
+    }
+    let source = mixed_points(20_000, 6.0, 8);
+    build_at(&path, Box::new(source), &BuildOptions::default());
+    add(&path);
+    let (object, camera) = seen_from(&path, 3.0);
+    for factor in [0.3, 1.0, 4.0] {
+        let (mean, most) = compare(&object, &camera, 24, factor);
+        assert!(mean < 2e-3 && most < 0.02, "mixed {factor}: {mean}, {most}");
+    }
+}
