@@ -18,7 +18,8 @@ pub(crate) struct PictureArgs {
     /// Only a part of the picture: left,top,width,height
     #[arg(long, value_delimiter = ',')]
     crop: Option<Vec<u32>>,
-    /// What is seen of points from afar: off (every point), auto, or how wide pixels are taken to be
+    /// What is seen of points from afar: off (every point), auto, or how wide pixels are taken to
+    /// be
     #[arg(long, value_parser = level_of_detail, hide = true)]
     lod: Option<Lod>,
 }

@@ -109,8 +109,8 @@ impl RunBatch {
         appended
     }
 
-    /// Adds a run at the end that `decode` makes, if any samples of a slab on the rays in `lanes` may
-    /// lie in it and it has points.
+    /// Adds a run at the end that `decode` makes, if any samples of a slab on the rays in `lanes`
+    /// may lie in it and it has points.
     ///
     /// # Errors
     /// Those of `decode`.

@@ -6,10 +6,9 @@
 //! closure needs are means over it, carried as attributes behind those of the cloud.
 
 use super::columns::{AttributeColumns, MAP_COLUMNS};
-use super::far_points::PointParts;
 use super::run::DecodedRun;
 use super::sight::Sight;
-use super::simd::SimdLevel;
+use super::simd::{SimdLevel, dispatch};
 use crate::lod::{Absorber, CrossSections, LEAST_PART, SPREAD, Seen};
 use crate::math::linear_from_srgb;
 use rayset_base::geometry::{Aabb, DVec3};
@@ -66,7 +65,7 @@ impl FarDecoder {
         let color = |display: f64| {
             if columns.color_as_displayed { display } else { linear_from_srgb(display) }
         };
-        self.color_from_byte = Box::new(std::array::from_fn(|i| color(i as f64 / 255.0) as f32));
+        *self.color_from_byte = std::array::from_fn(|i| color(i as f64 / 255.0) as f32);
         self.columns = columns.clone();
     }
 
@@ -114,12 +113,12 @@ impl FarDecoder {
 
     /// Gives points, as they are decoded for a field of densities, the channels of the closure, and
     /// colours if these follow from densities.
-    pub(super) fn color_points(&self, run: &mut DecodedRun, parts: &PointParts) {
+    pub(super) fn color_points(&self, run: &mut DecodedRun, colors: &[[f32; 3]; RUN_POINTS]) {
         run.attribute.resize(self.channels(), [0.0; RUN_POINTS]);
         if self.colors_densities {
             let first = self.channel(FarChannel::Color);
             for i in 0..run.len {
-                (0..3).for_each(|channel| run.attribute[first + channel][i] = parts.color[i][channel]);
+                (0..3).for_each(|channel| run.attribute[first + channel][i] = colors[i][channel]);
             }
         }
     }
@@ -284,5 +283,16 @@ impl DecodedRun {
         self.are_splats = false;
         self.is_widened = false;
         self.size = (0.0, 0.0);
+    }
+
+    /// Makes a run of Gaussians, whose columns, size and reach are known, ready.
+    pub(super) fn set_far(&mut self, least_radius: f32, simd: SimdLevel) {
+        self.reach_length = self.reach[0] + self.reach[1] + self.reach[2];
+        self.least_length = f64::from(least_radius);
+        self.has_plates = true;
+        let spare = self.wide.take().or_else(|| self.spare_wide.take());
+        self.spare_wide = spare;
+        self.may_be_wide = false;
+        dispatch!(simd.level(), token => self.bound_again(token, least_radius));
     }
 }

@@ -146,7 +146,7 @@ impl DecodedRun {
         parts: &PointParts,
         (sight, simd): (&Sight, SimdLevel),
     ) {
-        decoder.color_points(self, parts);
+        decoder.color_points(self, &parts.color);
         let mut stay = [0; 2];
         let mut least_radius = f32::INFINITY;
         let first = decoder.first_of_closure();
@@ -204,107 +204,150 @@ fn more_than(column: &Column, least: f32, len: usize) -> [u64; 2] {
     bits
 }
 
-/// The closure of points, as `lod::closure` has it in double precision.
-#[inline(always)]
-fn spread(decoder: &FarDecoder, run: &DecodedRun, parts: &PointParts, seen: &Seen) -> Spread {
-    let (integral, variance) = decoder.kernel();
-    let points = &run.points;
-    let (per_spread, mu) = ((1.0 / SPREAD.variance()) as f32, variance as f32);
-    let per_integral = (1.0 / SPREAD.integral()) as f32;
-    let mut out = Spread {
-        weight: [0.0; RUN_POINTS],
-        radius: [0.0; RUN_POINTS],
-        map: [[0.0; RUN_POINTS]; MAP_COLUMNS],
-        per_opacity: [0.0; RUN_POINTS],
-        length: [0.0; RUN_POINTS],
-        density: [0.0; RUN_POINTS],
-        depth: [0.0; RUN_POINTS],
-        normal: [[0.0; RUN_POINTS]; 3],
-        reach: [0.0; 3],
-        least_radius: f32::INFINITY,
-    };
-    let mut ratios = [[1.0; RUN_POINTS]; 2];
-    let mut axes = [[0.0; RUN_POINTS]; MAP_COLUMNS];
-    if let Some(map) = points.map.first_chunk::<MAP_COLUMNS>() {
+/// The shapes of points: their axes, of length one, and the second and third semi-axis as parts of
+/// the first.
+struct Axes {
+    axes: [Column; MAP_COLUMNS],
+    ratios: [Column; 2],
+}
+
+impl Axes {
+    #[inline(always)]
+    fn of(points: &PointColumns) -> Self {
+        let mut out = Self { axes: [[0.0; RUN_POINTS]; MAP_COLUMNS], ratios: [[1.0; RUN_POINTS]; 2] };
+        let Some(map) = points.map.first_chunk::<MAP_COLUMNS>() else {
+            (0..3).for_each(|row| out.axes[4 * row] = [1.0; RUN_POINTS]);
+            return out;
+        };
         for i in 0..RUN_POINTS {
             for row in 0..3 {
                 let of = [map[3 * row][i], map[3 * row + 1][i], map[3 * row + 2][i]];
                 let length = 1.0 / dot(of, of).sqrt();
                 for j in 0..3 {
-                    axes[3 * row + j][i] = of[j] * length;
+                    out.axes[3 * row + j][i] = of[j] * length;
                 }
                 if row > 0 {
-                    ratios[row - 1][i] = length * points.inverse_radius[i];
+                    out.ratios[row - 1][i] = length * points.inverse_radius[i];
                 }
             }
         }
-    } else {
-        for row in 0..3 {
-            axes[4 * row] = [1.0; RUN_POINTS];
-        }
+        out
     }
-    let mut cross = [0.0; RUN_POINTS];
-    let mut mass = [0.0; RUN_POINTS];
+
+    #[inline(always)]
+    fn rows(&self, i: usize) -> [[f32; 3]; 3] {
+        [0, 3, 6].map(|row| [self.axes[row][i], self.axes[row + 1][i], self.axes[row + 2][i]])
+    }
+}
+
+/// The areas that points take of the light by themselves, and their masses.
+#[inline(always)]
+fn cross_sections(
+    points: &PointColumns,
+    ratios: &[Column; 2],
+    of_mass: &[f64; RUN_POINTS],
+    integral: f64,
+) -> [Column; 2] {
+    let [mut cross, mut mass] = [[0.0; RUN_POINTS]; 2];
     for i in 0..RUN_POINTS {
         let radius = f64::from(points.radius[i]);
         let volume = radius * radius * radius * f64::from(ratios[0][i] * ratios[1][i]);
         let of_point = integral * f64::from(points.weight[i]) * volume;
-        cross[i] = (parts.of_mass[i] * of_point) as f32;
+        cross[i] = (of_mass[i] * of_point) as f32;
         mass[i] = of_point as f32;
     }
-    let mut reach = [[0.0_f32; RUN_POINTS]; 3];
-    let mut shortest = [f32::INFINITY; RUN_POINTS];
+    [cross, mass]
+}
+
+/// The closure of points, as `lod::closure` has it in double precision.
+#[inline(always)]
+fn spread(decoder: &FarDecoder, run: &DecodedRun, parts: &PointParts, seen: &Seen) -> Spread {
+    let (integral, variance) = decoder.kernel();
+    let points = &run.points;
+    let mu = variance as f32;
+    let shapes = Axes::of(points);
+    let ratios = &shapes.ratios;
+    let [cross, mass] = cross_sections(points, ratios, &parts.of_mass, integral);
+    let mut out = Spread::default();
+    let mut radii = [[0.0; RUN_POINTS]; 3];
     for i in 0..RUN_POINTS {
         let (radius, toward) = (points.radius[i], [0, 1, 2].map(|axis| seen.toward[axis][i]));
-        let axis = [0, 3, 6].map(|row| [axes[row][i], axes[row + 1][i], axes[row + 2][i]]);
-        let across = axis.map(|axis| dot(axis, toward) * dot(axis, toward));
+        let across = shapes.rows(i).map(|axis| dot(axis, toward) * dot(axis, toward));
         // Of the radius squared.
         let v = [mu, mu * ratios[0][i] * ratios[0][i], mu * ratios[1][i] * ratios[1][i]];
         let area = across[0] * v[1] * v[2] + across[1] * v[2] * v[0] + across[2] * v[0] * v[1];
         let area = 12.0 * radius * radius * area.max(0.0).sqrt();
         let depth = (cross[i] / area.max(f32::MIN_POSITIVE)).min(MOST_DEPTH as f32);
         let opacity = absorbed(depth);
-        let of_pixel = seen.pixel_squared[i] * (1.0 / 12.0);
-        let s = v.map(|v| v * radius * radius + of_pixel);
+        let s = v.map(|v| v * radius * radius + seen.pixel_squared[i] * (1.0 / 12.0));
         let least = s[0].min(s[1]).min(s[2]);
         let stretched = s.map(|s| s + STRETCH as f32 * (s - least));
         let along = across[0] / stretched[0] + across[1] / stretched[1] + across[2] / stretched[2];
-        let length = (std::f32::consts::TAU / along).sqrt();
-        let r = s.map(|s| (s * per_spread).sqrt());
+        let r = s.map(|s| (s * (1.0 / SPREAD.variance()) as f32).sqrt());
         let per_opacity = 1.0 / opacity.max(f32::MIN_POSITIVE);
         let part = parts.part[i] * (1.0 - seen.density[i]);
-        let weight = part * opacity * (per_integral * area / r[0] / r[1] / r[2]);
+        let of_volume = (1.0 / SPREAD.integral()) as f32 * area / r[0] / r[1] / r[2];
+        let weight = part * opacity * of_volume;
         let is_seen = part > LEAST_PART as f32 && opacity > LEAST_OPACITY as f32 && weight < 1e30;
         out.weight[i] = if is_seen { weight } else { 0.0 };
-        // Ellipsoids have their shortest axis last.
-        let flat = 1.0 - v[2] / v[1];
-        let against = if dot(axis[2], toward) > 0.0 { -flat * flat } else { flat * flat };
-        for j in 0..3 {
-            out.normal[j][i] = against * axis[2][j];
-        }
         out.radius[i] = r[0].max(r[1]).max(r[2]);
-        shortest[i] = r[0].min(r[1]).min(r[2]);
+        (0..3).for_each(|row| radii[row][i] = r[row]);
         out.per_opacity[i] = per_opacity;
-        out.length[i] = length * per_opacity;
+        out.length[i] = (std::f32::consts::TAU / along).sqrt() * per_opacity;
         out.depth[i] = depth * per_opacity;
         out.density[i] = mass[i] * per_opacity / area.max(f32::MIN_POSITIVE);
-        for row in 0..3 {
+    }
+    out.set_shapes(run, &shapes, &radii, seen);
+    out
+}
+
+impl Default for Spread {
+    fn default() -> Self {
+        const NONE: Column = [0.0; RUN_POINTS];
+        Self {
+            weight: NONE,
+            radius: NONE,
+            map: [NONE; MAP_COLUMNS],
+            per_opacity: NONE,
+            length: NONE,
+            density: NONE,
+            depth: NONE,
+            normal: [NONE; 3],
+            reach: [0.0; 3],
+            least_radius: f32::INFINITY,
+        }
+    }
+}
+
+impl Spread {
+    /// Sets the maps to the unit ball, of Gaussians with these radii along their axes, how far they
+    /// reach, and directions across those that are flat.
+    #[inline(always)]
+    fn set_shapes(&mut self, run: &DecodedRun, shapes: &Axes, radii: &[Column; 3], seen: &Seen) {
+        let mut reach = [[0.0_f32; RUN_POINTS]; 3];
+        for i in 0..RUN_POINTS {
+            let axis = shapes.rows(i);
+            let toward = [0, 1, 2].map(|j| seen.toward[j][i]);
+            let thin = shapes.ratios[1][i] / shapes.ratios[0][i];
+            // Ellipsoids have their shortest axis last.
+            let flat = 1.0 - thin * thin;
+            let against = if dot(axis[2], toward) > 0.0 { -flat * flat } else { flat * flat };
             for j in 0..3 {
-                out.map[3 * row + j][i] = axis[row][j] / r[row];
+                let mut squared = 0.0;
+                for row in 0..3 {
+                    self.map[3 * row + j][i] = axis[row][j] / radii[row][i];
+                    squared += axis[row][j] * axis[row][j] * radii[row][i] * radii[row][i];
+                }
+                self.normal[j][i] = against * axis[2][j];
+                reach[j][i] = run.points.position[j][i].abs() + squared.sqrt();
             }
         }
-        for j in 0..3 {
-            let squared = axis[0][j] * axis[0][j] * r[0] * r[0]
-                + axis[1][j] * axis[1][j] * r[1] * r[1]
-                + axis[2][j] * axis[2][j] * r[2] * r[2];
-            reach[j][i] = points.position[j][i].abs() + squared.sqrt();
+        for i in 0..run.len {
+            if self.weight[i] > 0.0 {
+                let shortest = radii[0][i].min(radii[1][i]).min(radii[2][i]);
+                self.least_radius = self.least_radius.min(shortest);
+                (0..3).for_each(|j| self.reach[j] = self.reach[j].max(reach[j][i] * 1.00001));
+            }
         }
     }
-    for i in 0..run.len {
-        if out.weight[i] > 0.0 {
-            out.least_radius = out.least_radius.min(shortest[i]);
-            (0..3).for_each(|j| out.reach[j] = out.reach[j].max(reach[j][i] * 1.00001));
-        }
-    }
-    out
 }

@@ -126,7 +126,7 @@ mod tests {
         keep(&mut kept, 0, 1);
         assert!(!kept.take(key(0), 1.0, &mut found), "there is no room");
         kept.set_room(true);
-        keep(&mut kept, 1, 9);
+        keep(&mut kept, 1, 17);
         assert!(!kept.take(key(1), 1.0, &mut found), "it has more columns than were borrowed for");
         const MOST: u16 = (ROOM / LESS_FOR_BALLS) as u16;
         (0..=MOST).for_each(|number| keep(&mut kept, number, 8));

@@ -57,7 +57,7 @@ pub struct DecodedRun {
     pub(super) size: (f64, f64),
     /// By which it is found out whether it needs double precision: see
     /// [`RunDecoder::least_length`].
-    least_length: f64,
+    pub(super) least_length: f64,
     /// No more than the radius of any point.
     pub(super) radius_min: f32,
     pub(super) points: PointColumns,
@@ -76,7 +76,7 @@ pub struct DecodedRun {
     /// Positions and inverse radii in double precision, for runs that are too wide for single
     /// precision.
     pub(super) wide: Option<Box<WideRun>>,
-    spare_wide: Option<Box<WideRun>>,
+    pub(super) spare_wide: Option<Box<WideRun>>,
 }
 
 #[derive(Clone, Debug)]
@@ -324,13 +324,14 @@ impl Default for DecodedRun {
 }
 
 impl DecodedRun {
-    /// How many times [`DECODED_BYTES`] it takes at most; `None` if it has more columns.
+    /// How many times [`DECODED_BYTES`] it takes at most; `None` if it has more than twice the
+    /// columns.
     pub(super) fn memory(&self) -> Option<usize> {
         const WIDE_BYTES: usize = size_of::<WideRun>() + RUN_POINTS * size_of::<[f64; MAP_COLUMNS]>();
         let has_wide = self.wide.is_some();
         let columns = self.attribute.capacity() + self.label.capacity();
         let wide = if has_wide { WIDE_BYTES.div_ceil(DECODED_BYTES) } else { 0 };
-        (columns <= MOST_COLUMNS).then_some(1 + wide)
+        (columns <= 2 * MOST_COLUMNS).then_some(1 + wide + usize::from(columns > MOST_COLUMNS))
     }
 
     /// Whether its points are no balls, whose decoding takes long.
@@ -380,17 +381,6 @@ impl DecodedRun {
         if self.has_plates {
             self.set_plates(simd);
         }
-    }
-
-    /// Makes a run of Gaussians, whose columns, size and reach are known, ready.
-    pub(super) fn set_far(&mut self, least_radius: f32, simd: SimdLevel) {
-        self.reach_length = self.reach[0] + self.reach[1] + self.reach[2];
-        self.least_length = f64::from(least_radius);
-        self.has_plates = true;
-        let spare = self.wide.take().or_else(|| self.spare_wide.take());
-        self.spare_wide = spare;
-        self.may_be_wide = false;
-        dispatch!(simd.level(), token => self.bound_again(token, least_radius));
     }
 
     fn set_plates<S: Simd>(&mut self, simd: S) {

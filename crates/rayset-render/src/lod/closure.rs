@@ -1,9 +1,9 @@
 //! The closure: from areas that take light to the extinction of a ray at a place.
 //!
-//! Each aggregate covers an area P across a ray, of which it takes the part c, over a length L. At a
-//! place they are spread by Gaussians; sums over them by area give how much of a pixel is covered,
-//! how opaque what covers it is, and how long: the extinction is what makes the right opacity of
-//! them, whether they are beside or behind each other.
+//! Each aggregate covers an area P across a ray, of which it takes the part c, over a length L. At
+//! a place they are spread by Gaussians; sums over them by area give how much of a pixel is
+//! covered, how opaque what covers it is, and how long: the extinction is what makes the right
+//! opacity of them, whether they are beside or behind each other.
 
 use super::cross_sections::CrossSections;
 use rayset_base::geometry::{DMat3, DVec3};

@@ -192,6 +192,7 @@ mod tests {
             radius: 1e-3,
             densities: DensityBins { width: Width::HalfOctave, top: 5, roots },
             child_mask: 0,
+            cells: 0,
             first_child: 0,
             first_point: 0,
             more_points: 0,

@@ -1,11 +1,11 @@
 //! The cut: by which part a cell stands for its points, and a point is a density.
 //!
-//! A node or a cell of edge e, where a pixel is ρ wide, stands for its points by the part S(log₂(ρ/e)),
-//! with S the smoothstep; what is below it has the rest. So its part grows where ρ does from e to
-//! 2 e, and every point is seen once altogether. A cell that is not divided takes the place of those
-//! of half its edge that would be below it, too: otherwise each of its points would be looked at for
-//! a part that is hardly seen. A point of radius r that is seen by itself is a density by S(log₂(r/ρ)),
-//! and a Gaussian like aggregates by the rest.
+//! A node or a cell of edge e, where a pixel is ρ wide, stands for its points by the part
+//! S(log₂(ρ/e)), with S the smoothstep; what is below it has the rest. So its part grows where ρ
+//! does from e to 2 e, and every point is seen once altogether. A cell that is not divided takes
+//! the place of those of half its edge that would be below it, too: otherwise each of its points
+//! would be looked at for a part that is hardly seen. A point of radius r that is seen by itself is
+//! a density by S(log₂(r/ρ)), and a Gaussian like aggregates by the rest.
 
 /// Least part that is not left out.
 pub(crate) const LEAST_PART: f64 = 1e-6;

@@ -26,7 +26,10 @@ impl March<'_> {
         let grids = count(|action| matches!(action, Action::Grid(_)));
         let fields = count(|action| matches!(action, Action::Procedural(_))).min(MOST_FIELDS);
         let channels = program.required.attributes.count_ones() as usize;
-        let of_clouds = clouds * CloudMarch::BYTES + CloudScratch::bytes(clouds, channels);
+        let from_afar = count(|action| matches!(action, Action::Cloud(volume) if volume.lod.is_some()));
+        let of_clouds = clouds * CloudMarch::BYTES
+            + from_afar * CloudMarch::BYTES_FROM_AFAR
+            + CloudScratch::bytes(clouds, channels, from_afar > 0);
         let of_details =
             if may_differ(program, true) { Details::BYTES + clouds * Details::BYTES_OF_CLOUD } else { 0 };
         let of_grids = if grids > 0 { grids * GridMarch::BYTES + GridScratch::BYTES } else { 0 };

@@ -59,13 +59,16 @@ impl SceneNeeds {
     /// The needs of a scene that has been checked.
     #[must_use]
     pub fn of(scene: &Scene, settings: &RenderSettings) -> Self {
-        let compile = |scene, purpose| Program::compile(scene, purpose, SimdLevel::default());
-        let Some((capped, caps)) = caps::sized(scene, settings) else {
-            return Self::of_program(scene, settings, &compile(scene, settings.purpose()));
+        let seen = |scene| {
+            let purpose = (settings.purpose(), settings.lod);
+            Program::compile_seen(scene, purpose, SimdLevel::default())
         };
-        let needs = Self::of_program(&capped, settings, &compile(&capped, settings.purpose()));
+        let Some((capped, caps)) = caps::sized(scene, settings) else {
+            return Self::of_program(scene, settings, &seen(scene));
+        };
+        let needs = Self::of_program(&capped, settings, &seen(&capped));
         // Caps are found before the picture's programs are there.
-        let surface = compile(scene, Purpose::Surface);
+        let surface = Program::compile(scene, Purpose::Surface, SimdLevel::default());
         let counting = THREAD_BYTES + March::most_bytes(&surface) as u64;
         Self {
             caps_bytes: caps.most,

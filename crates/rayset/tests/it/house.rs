@@ -37,7 +37,7 @@ const CRATES: [(&str, &[&str], &[&str]); 6] = [
     (
         "rayset-render",
         &["rayset-base", "rayset-store", "rayset-files"],
-        &["math", "field", "scene", "image", "trace", "scene_file"],
+        &["math", "lod", "field", "scene", "image", "trace", "scene_file"],
     ),
     ("rayset", &["rayset-base", "rayset-store", "rayset-files", "rayset-formats", "rayset-render"], &[]),
 ];

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use rayset::cancel::CancelToken;
+use rayset::field::Kernel;
 use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
 use rayset::octree::aggregates::{AggregateOptions, add_to_file};
@@ -16,7 +17,7 @@ use rayset::scene::{
 use rayset::trace::ExecSettings;
 use rayset::trace::reference::far::{Far, opacities};
 
-use crate::common::{build_at, folder, mixed_points, paged, picture, settings};
+use crate::common::{bits, build_at, folder, mixed_points, paged, picture, scene_of, settings};
 
 fn add(path: &Path) {
     let options = AggregateOptions::default().with_memory_bytes(64 << 20).with_threads(2);
@@ -50,11 +51,8 @@ fn compare(object: &CloudObject, camera: &Camera, size: u32, factor: f32) -> (f6
     let far = Far::new(object, scene.unit_distance, (camera, size, size), factor.into()).expect("a file");
     let judged = opacities(&far.expect("aggregates"), (camera, size, size));
     let (mut sum, mut most) = (0.0, 0.0_f64);
-    for (at, (pixel, judged)) in picture.expect("a picture").iter().zip(&judged).enumerate() {
+    for (pixel, judged) in picture.expect("a picture").iter().zip(&judged) {
         let off = f64::from(pixel[3]) - judged;
-        if off.abs() > 0.05 {
-            eprintln!("{},{}: {} of {judged}", at as u32 % size, at as u32 / size, pixel[3]);
-        }
         sum += off.abs();
         most = most.max(off.abs());
     }
@@ -84,5 +82,80 @@ fn pictures_from_afar_are_those_of_the_judge() {
     for factor in [0.3, 1.0, 4.0] {
         let (mean, most) = compare(&object, &camera, 24, factor);
         assert!(mean < 2e-3 && most < 0.02, "mixed {factor}: {mean}, {most}");
+    }
+}
+
+/// A lit scene with colours, shadows and layers' worth of outputs.
+fn lit(object: CloudObject) -> Scene {
+    scene_of(object, true)
+}
+
+#[test]
+fn pictures_from_afar_depend_on_no_execution_setting() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    build_at(&path, Box::new(mixed_points(60_000, 5.0, 3)), &BuildOptions::default());
+    add(&path);
+    let (object, camera) = seen_from(&path, 4.0);
+    let scene = lit(object);
+    for factor in [0.5, 2.0] {
+        let settings = settings(40, 32).with_lod(Lod::Footprint(factor));
+        let with = |exec: &ExecSettings, budget: u64| {
+            bits(&picture(&scene, &camera, &settings, exec, &paged(&scene, budget)).expect("a picture"))
+        };
+        let plain = with(&ExecSettings::default(), 1 << 30);
+        for (threads, tile_pixels, slab_samples, budget) in
+            [(1, 8, 32, 1 << 20), (3, 5, 8, 1 << 30), (2, 1, 32, 1 << 30), (2, 3, 1, 2 << 20)]
+        {
+            let exec = ExecSettings { threads, tile_pixels, slab_samples, ..ExecSettings::default() };
+            assert!(
+                with(&exec, budget) == plain,
+                "{factor}: {threads} {tile_pixels} {slab_samples} {budget}"
+            );
+        }
+    }
+}
+
+#[test]
+fn points_of_two_pixels_and_more_are_seen_as_without_level_of_detail() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    sphere(&path, "sphere-20000");
+    let (object, camera) = seen_from(&path, 4.0);
+    let scene = lit(object);
+    let with = |size: u32, lod: Lod| {
+        let settings = settings(size, size).with_lod(lod);
+        bits(
+            &picture(&scene, &camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30))
+                .expect("a picture"),
+        )
+    };
+    assert!(with(96, Lod::AUTO) == with(96, Lod::Off));
+    assert!(with(24, Lod::AUTO) != with(24, Lod::Off), "nothing is seen from afar");
+    // Another kernel than that of the aggregates.
+    let mut object = seen_from(&path, 4.0).0;
+    object.kernel = Kernel::Triweight;
+    let other = lit(object);
+    let with = |lod: Lod| {
+        let settings = settings(24, 24).with_lod(lod);
+        bits(
+            &picture(&other, &camera, &settings, &ExecSettings::default(), &paged(&other, 1 << 30))
+                .expect("a picture"),
+        )
+    };
+    assert!(with(Lod::AUTO) == with(Lod::Off));
+}
+
+#[test]
+fn footprints_out_of_range_are_refused() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    sphere(&path, "sphere-1000");
+    let (object, camera) = seen_from(&path, 4.0);
+    let scene = lit(object);
+    for factor in [0.0, -1.0, 65.0, f32::NAN, f32::INFINITY] {
+        let settings = settings(8, 8).with_lod(Lod::Footprint(factor));
+        let refused = picture(&scene, &camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30));
+        assert!(refused.expect_err("refused").to_string().contains("level of detail"));
     }
 }

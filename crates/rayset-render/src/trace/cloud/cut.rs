@@ -4,8 +4,9 @@
 
 use std::ops::Range;
 
-use super::lod::{CloudLod, RecordPages};
+use super::lod::CloudLod;
 use super::placement::CloudPlacement;
+use super::record_pages::RecordPages;
 use crate::field::Sight;
 use crate::lod::{LEAST_PART, part_of_cell, part_of_last_cell};
 use crate::trace::access::Halt;
@@ -234,9 +235,9 @@ impl Cut {
         Some(RecordRange { first, count: known.len() as u16, level, parts })
     }
 
-    /// The cells of a leaf, level by level, until they stand for all of its points; and those that are
-    /// left, which may be any if some are larger than their cells. Calls `see` with those that are seen, in groups, and the box that these reach
-    /// in.
+    /// The cells of a leaf, level by level, until they stand for all of its points; and those that
+    /// are left, which may be any if some are larger than their cells. Calls `see` with those that
+    /// are seen, in groups, and the box that these reach in.
     pub(super) fn cells(
         &mut self,
         seen: Seen<'_>,
@@ -296,8 +297,8 @@ impl Cut {
         Ok((end > first.first_child).then_some((first.first_child, end)))
     }
 
-    /// Goes through the cells of a level in groups; adds the points of those that are not divided to
-    /// `last`.
+    /// Goes through the cells of a level in groups; adds the points of those that are not divided
+    /// to `last`.
     fn group_cells(
         &mut self,
         seen: Seen<'_>,

@@ -1,12 +1,12 @@
 //! Adds what is active of a cloud to the samples of a slab: the points of runs, as densities, and
 //! from afar aggregates and points as Gaussians.
 
+use super::ahead::{ActiveRecords, ActiveRuns, PacketInCloud, RunCut, Runs};
 use super::cut::{Cut, NONE};
-use super::frontier::{ActiveRecords, ActiveRuns, PacketInCloud, RunCut, Runs};
 use super::live_rays::bits_between;
-use super::lod::RecordPages;
-use super::march::Request;
 use super::point_parts::Covers;
+use super::record_pages::RecordPages;
+use super::request::Request;
 use super::volume::CloudVolume;
 use crate::field::{Appended, FieldSamples, Packet, RayEnds, RunBatch, RunKey, RunPart, Slab, Splatter};
 use crate::trace::access::Halt;
@@ -102,7 +102,7 @@ impl Gathering<'_> {
         let (simd, on) = (to.splatter.simd, (self.place.packet, self.request.slab, self.lanes));
         let (run, header) = (points.run(index), cloud.header());
         let key = RunKey { cloud: shading.number(), page, number: index as u16, what };
-        let from_afar = self.place.from_afar().filter(|_| cut.node != NONE);
+        let from_afar = self.place.seen_from_afar().filter(|_| cut.node != NONE);
         let Some(seen) = from_afar else {
             let of = (&shading.decoder, &run, header);
             return to.add(on, |batch| Ok(batch.append(of, Some(key), on, simd)));
@@ -139,7 +139,7 @@ impl Gathering<'_> {
 
     /// Adds aggregates, sorted, in the order of the file.
     pub(super) fn records(&self, active: &[ActiveRecords], to: &mut Samples<'_>) -> Result<(), Halt> {
-        let (Some(seen), cloud) = (self.place.from_afar(), self.place.cloud) else { return Ok(()) };
+        let (Some(seen), cloud) = (self.place.seen_from_afar(), self.place.cloud) else { return Ok(()) };
         let (simd, on) = (to.splatter.simd, (self.place.packet, self.request.slab, self.lanes));
         let mut pages = RecordPages::new(self.place.access, cloud, seen.lod);
         let mut before = None;

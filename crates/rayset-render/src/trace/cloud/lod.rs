@@ -1,13 +1,10 @@
-//! A cloud as it is seen from afar: whether it can be, and its records of aggregates.
+//! A cloud as it is seen from afar: whether it can be, and how far what is seen of it reaches.
 
-use super::placement::CloudPlacement;
 use crate::field::{AttributeColumns, FarDecoder, Kernel, Sight};
 use crate::lod::CrossSections;
 use crate::scene::{CloudObject, ColorRule, Lod, MapInput, Scene, largest_stretch};
-use crate::trace::access::{Access, Halt};
 use rayset_base::geometry::{Aabb, DAffine3, DMat3};
-use rayset_files::octree::aggregates::{Aggregate, AggregateHeader, AggregatePage, CellPlace};
-use rayset_store::working_set::PageGuard;
+use rayset_files::octree::aggregates::{AggregateHeader, CellPlace};
 
 /// How far a Gaussian with the variance of what is in a box may reach beyond the box, in widths of
 /// the box: of a spread that ends at 3.1 deviations.
@@ -83,7 +80,8 @@ impl CloudLod {
         BEYOND * width + OF_PIXEL * pixel
     }
 
-    /// How far points in a box that are seen by themselves reach beyond what they reach as densities.
+    /// How far points in a box that are seen by themselves reach beyond what they reach as
+    /// densities.
     pub(super) fn reach_of_points(&self, bounds: &Aabb, sight: &Sight) -> f64 {
         OF_PIXEL * sight.largest_pixel_in(bounds)
     }
@@ -102,61 +100,6 @@ fn keeps_angles(map: &DAffine3) -> bool {
     let off =
         (product - DMat3::IDENTITY * scale).to_cols_array().into_iter().fold(0.0, |a: f64, v| a.max(v.abs()));
     off <= 1e-6 * scale
-}
-
-/// The records of a cloud's aggregates, of which one page is held at a time.
-pub(super) struct RecordPages<'a> {
-    access: Access<'a>,
-    cloud: &'a CloudPlacement,
-    aggregates: &'a AggregateHeader,
-    held: Option<(u32, PageGuard)>,
-}
-
-impl<'a> RecordPages<'a> {
-    pub(super) fn new(access: Access<'a>, cloud: &'a CloudPlacement, lod: &'a CloudLod) -> Self {
-        Self { access, cloud, aggregates: &lod.aggregates, held: None }
-    }
-
-    /// The page of a record, its number in the file, and the record's place in it.
-    pub(super) fn page_of(&mut self, record: u32) -> Result<(AggregatePage<'_>, u32, usize), Halt> {
-        let header = self.cloud.header();
-        let (page, index) = self.aggregates.place_of(record, header.page_bytes);
-        let page = header.point_pages + header.node_pages + page;
-        if record >= self.aggregates.records() {
-            return Err(self.cloud.broken(page.min(header.pages().saturating_sub(1))).into());
-        }
-        let is_held = self.held.as_ref().is_some_and(|(held, _)| *held == page);
-        if !is_held {
-            self.held = Some((page, self.access.retain(self.cloud, page)?));
-        }
-        let Some((_, bytes)) = &self.held else { return Err(self.cloud.broken(page).into()) };
-        Ok((AggregatePage::trusted(bytes, header, self.aggregates), page, index))
-    }
-
-    /// What a walk reads of the record of a cell at a level.
-    pub(super) fn place(&mut self, record: u32, level: u8) -> Result<CellPlace, Halt> {
-        let (page, number, index) = self.page_of(record)?;
-        let place = page.place(index, level);
-        place.ok_or_else(|| self.cloud.broken(number).into())
-    }
-
-    /// A whole record of a cell at a level.
-    pub(super) fn record(&mut self, record: u32, level: u8) -> Result<Aggregate, Halt> {
-        let (page, number, index) = self.page_of(record)?;
-        let found = page.get(index, level);
-        found.ok_or_else(|| self.cloud.broken(number).into())
-    }
-
-    /// Number of all records.
-    pub(super) fn records(&self) -> u32 {
-        self.aggregates.records()
-    }
-
-    /// How many records from one on are in its page.
-    pub(super) fn left_in_page(&self, record: u32) -> u32 {
-        let per_page = self.aggregates.records_per_page(self.cloud.header().page_bytes).max(1);
-        per_page - record % per_page
-    }
 }
 
 #[cfg(test)]

@@ -1,23 +1,34 @@
 //! The march of one packet through one cloud, slab by slab.
 
-use super::frontier::{Active, Frontier, PacketInCloud};
+use super::ahead::{Active, PacketInCloud};
+use super::frontier::Frontier;
 use super::gather::{Gathering, Samples};
 use super::live_rays::LiveRays;
-use super::shading::CloudShading;
+use super::request::Request;
 use super::volume::CloudVolume;
 use crate::field::{
-    BATCH_BYTES, Channels, FieldSamples, KEPT_BYTES, LANES, Packet, RayEnds, RunBatch, RunPart, SampleRow,
-    Sight, SimdLevel, Slab, Splatter,
+    BATCH_BYTES, Channels, FieldSamples, KEPT_BYTES, LANES, Packet, RunBatch, RunPart, SampleRow, Sight,
+    SimdLevel, Splatter,
 };
 use crate::lod::SPREAD;
 use crate::trace::access::{Access, Halt};
 use crate::trace::counts::RenderCounts;
-use crate::trace::node_samples::{Live, Measure, NodeSamples, RequiredOutputs};
+use crate::trace::node_samples::{Measure, NodeSamples};
 use rayset_store::working_set::Loan;
 
 /// What the part of an octree ahead of a packet takes, and the runs that it has reached. Lists that
 /// double as they grow: 4 to 42 KiB as measured, 20 in the mean of many clouds in one scene.
 const AHEAD_BYTES: usize = 24 << 10;
+
+/// Rows of a field of what is seen from afar, besides attributes: the area that takes light, its
+/// gradient, colours of points or densities, and what the closure needs.
+const SPREAD_ROWS: usize = 1 + 3 + 3 + 10;
+
+/// What is kept of the cut through a cloud that is seen from afar: 10 to 150 KiB as measured.
+const CUT_BYTES: usize = 96 << 10;
+
+/// What the runs of a batch take of more columns than those of densities have.
+const MORE_COLUMNS_BYTES: usize = 32 << 10;
 
 /// The march of one packet through one cloud.
 pub(in crate::trace) struct CloudMarch {
@@ -52,10 +63,12 @@ pub(in crate::trace) struct CloudScratch {
 impl CloudScratch {
     /// The most bytes that it takes where a program has so many clouds, whose fields have so many
     /// channels besides density, gradient and colour.
-    pub(in crate::trace) fn bytes(clouds: usize, channels: usize) -> usize {
+    pub(in crate::trace) fn bytes(clouds: usize, channels: usize, from_afar: bool) -> usize {
         // Of class labels, the label and what speaks for it.
-        let sums = 2 * channels * LANES * size_of::<SampleRow>();
-        if clouds > 0 { BATCH_BYTES as usize + sums } else { 0 }
+        let rows = 2 * channels + if from_afar { SPREAD_ROWS + 2 * channels } else { 0 };
+        let sums = rows * LANES * size_of::<SampleRow>();
+        let columns = if from_afar { MORE_COLUMNS_BYTES } else { 0 };
+        if clouds > 0 { BATCH_BYTES as usize + columns + sums } else { 0 }
     }
 
     pub(in crate::trace) fn new() -> Self {
@@ -76,44 +89,12 @@ impl CloudScratch {
     }
 }
 
-/// What is requested of a cloud in a slab.
-#[derive(Clone, Copy)]
-pub(in crate::trace) struct Request<'a> {
-    pub(in crate::trace) access: Access<'a>,
-    pub(in crate::trace) slab: Slab,
-    pub(in crate::trace) live: &'a Live,
-    /// Lanes whose rays have not ended.
-    pub(in crate::trace) going: u64,
-    /// Lanes whose rays have not ended either, but come to the slab with finer steps, and the first
-    /// tick that these may still come to.
-    pub(in crate::trace) waiting: (u64, u64),
-    pub(in crate::trace) measure: Measure,
-    pub(in crate::trace) required: RequiredOutputs,
-    pub(in crate::trace) simd: SimdLevel,
-    /// Where rays end if no samples but the cloud's absorb light, or `None` if that is of no use.
-    pub(in crate::trace) ends: Option<&'a Remaining>,
-}
-
-impl<'a> Request<'a> {
-    /// Where rays end in a cloud of this shading at the latest, by its densities.
-    fn ray_ends(&self, shading: &CloudShading) -> Option<RayEnds<'a>> {
-        let absorption = shading.least_absorption?;
-        self.ends.map(|ends| RayEnds { depth: &ends.depth, absorption })
-    }
-}
-
-/// How much is left of each ray.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::trace) struct Remaining {
-    /// For each lane, the optical depth from the slab's beginning at which its ray ends, in steps
-    /// at the optical depth of a unit distance. More than exact: a ray that comes to it has ended,
-    /// whatever was rounded.
-    pub(in crate::trace) depth: [f32; LANES],
-}
-
 impl CloudMarch {
     /// Bytes of a march, with its lists as long as they mostly become.
     pub(in crate::trace) const BYTES: usize = size_of::<Self>() + AHEAD_BYTES;
+
+    /// Bytes besides, of a cloud that is seen from afar.
+    pub(in crate::trace) const BYTES_FROM_AFAR: usize = CUT_BYTES;
 
     /// Allocates a march for any packet; [`begin`](Self::begin) must be called first.
     pub(in crate::trace) fn new(packet: &Packet) -> Self {

@@ -2,6 +2,7 @@
 //! for the rays in `live_rays`), the march of a packet through it (`march`), what its field looks
 //! like (`shading`), and how little of a ray that may leave (`least_absorption`).
 
+mod ahead;
 mod cut;
 mod frontier;
 mod gather;
@@ -13,14 +14,17 @@ mod nodes;
 mod opening;
 mod placement;
 mod point_parts;
+mod record_pages;
+mod request;
 mod shading;
 mod spread;
 mod volume;
 
-pub(super) use self::frontier::{each_own_page, run_bounds};
+pub(super) use self::ahead::{each_own_page, run_bounds};
 pub(super) use self::lod::CloudLod;
-pub(super) use self::march::{CloudMarch, CloudScratch, Remaining, Request};
+pub(super) use self::march::{CloudMarch, CloudScratch};
 pub(super) use self::nodes::{NodesInMemory, RetainedNodes};
 pub(super) use self::placement::CloudPlacement;
+pub(super) use self::request::{Remaining, Request};
 pub(super) use self::shading::CloudShading;
 pub(super) use self::volume::CloudVolume;

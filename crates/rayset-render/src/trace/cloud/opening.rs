@@ -1,12 +1,12 @@
 //! Opening the nodes that samples of a slab need: their points, their children, and what stands for
 //! them from afar.
 
-use super::cut::{Cut, Left, NONE, NodeCut, NodePart, PointsOfNode, Seen};
-use super::frontier::{
+use super::ahead::{
     Active, ActiveRecords, ActiveRuns, Ahead, Item, PacketInCloud, RunCut, Runs, each_own_page,
 };
-use super::lod::RecordPages;
+use super::cut::{Cut, Left, NONE, NodeCut, NodePart, PointsOfNode, Seen};
 use super::nodes::RetainedNodes;
+use super::record_pages::RecordPages;
 use crate::field::{SLAB_SAMPLES, Slab};
 use crate::lod::LEAST_PART;
 use crate::trace::access::Halt;
@@ -49,13 +49,13 @@ impl<'t> Opening<'t> {
         (slab, since): (Slab, u64),
         active: &'t mut Active,
     ) -> Self {
-        let records = place.from_afar().map(|seen| RecordPages::new(place.access, seen.cloud, seen.lod));
+        let records = place.seen_from_afar().map(|seen| RecordPages::new(place.access, seen.cloud, seen.lod));
         Self { place, heap, aside, slab, since, active, entry: None, cut, records, span: None }
     }
 
     /// The root is about to be met.
     pub(super) fn begin(&mut self) -> Result<(), Halt> {
-        match (self.place.from_afar(), &mut self.records) {
+        match (self.place.seen_from_afar(), &mut self.records) {
             (Some(seen), Some(records)) => self.cut.begin(seen, records),
             _ => Ok(()),
         }
@@ -106,7 +106,7 @@ impl<'t> Opening<'t> {
 
     /// Opens a node of which a part is seen from afar.
     fn open_part(&mut self, node: &Node, part: NodePart, walk: &mut Walk) -> Result<Visit, Halt> {
-        let (Some(seen), Some(records)) = (self.place.from_afar(), &mut self.records) else {
+        let (Some(seen), Some(records)) = (self.place.seen_from_afar(), &mut self.records) else {
             return Ok(Visit::Skip);
         };
         let (mut levels, mut left) = (Vec::new(), (part.rest == 0.0).then(Left::default));
@@ -162,7 +162,7 @@ impl<'t> Opening<'t> {
     /// What is seen of a node: every point where all are at least two pixels in radius, as their
     /// cells are then, too.
     fn cut_of(&self, node: &Node, part: NodePart) -> NodeCut {
-        let Some(Seen { cloud, sight, .. }) = self.place.from_afar() else { return NodeCut::Whole };
+        let Some(Seen { cloud, sight, .. }) = self.place.seen_from_afar() else { return NodeCut::Whole };
         let largest = || sight.largest_pixel_in(&node.bounds(cloud.root_cell));
         let is_whole = part.rest == 1.0 && f64::from(node.detail_min) >= 2.0 * largest();
         if is_whole { NodeCut::Whole } else { NodeCut::Part(part) }

@@ -2,7 +2,7 @@
 //! its node.
 
 use super::cut::{CellLevel, PointsOfNode, Seen};
-use super::lod::RecordPages;
+use super::record_pages::RecordPages;
 use crate::field::PointParts;
 use crate::trace::access::Halt;
 use rayset_files::octree::layout::RUN_POINTS;

@@ -337,8 +337,8 @@ impl CloudShading {
         SampleRow(std::array::from_fn(|j| if defined(j) { sum[j] / density[j] } else { 0.0 }))
     }
 
-    /// Fills shading vectors and distances to the boundary of a lane, of a field with this gradient:
-    /// the boundary is where it has a level.
+    /// Fills shading vectors and distances to the boundary of a lane, of a field with this
+    /// gradient: the boundary is where it has a level.
     pub(super) fn fill_vectors(
         &self,
         (gradient, field): (&[Vec<SampleRow>; 3], &SampleRow),

@@ -6,6 +6,7 @@ use super::shading::{Carried, CloudShading, Color, opacity_of_optical_depth};
 use crate::field::{FarChannel, FieldSamples, LANES, SLAB_SAMPLES, SampleRow, SimdLevel, dispatch};
 use crate::lod::{MOST_OPACITY, STACKING};
 use crate::math::{absorbed, ln};
+use crate::scene::MAX_OPACITY;
 use crate::trace::display_values::all_to_linear;
 use crate::trace::node_samples::{Measure, NodeSamples, RequiredOutputs, ZERO, each_lane, numbers};
 
@@ -14,7 +15,10 @@ const LEAST_AREA: f32 = 1e-30;
 
 /// What points that are densities make of a lane.
 struct DensityLane {
+    /// By themselves, in the measure that is asked for.
     opacity: SampleRow,
+    /// Beside what is seen from afar: optical depths.
+    depth: SampleRow,
     color: [SampleRow; 3],
     normal: [SampleRow; 3],
     boundary: SampleRow,
@@ -22,8 +26,9 @@ struct DensityLane {
 }
 
 impl CloudShading {
-    /// Converts the fields of densities and of what is seen from afar to opacity, colour and shading
-    /// vector.
+    /// Converts the fields of densities and of what is seen from afar to opacity, colour and
+    /// shading vector. A sample at which there is nothing of one of them is as if that was not
+    /// there: whether its ray meets it elsewhere must not matter.
     pub(super) fn transfer_spread(
         &self,
         lod: &CloudLod,
@@ -31,51 +36,51 @@ impl CloudShading {
         (measure, required, simd): (Measure, RequiredOutputs, SimdLevel),
         out: &mut NodeSamples,
     ) {
-        let (of_near, both) = (near.touched, near.touched & spread.touched);
-        near.touched = of_near & !both;
         self.transfer(near, (measure, required, simd), None, out);
-        near.touched = both;
-        self.beside_spread(lod, (near, spread), (required, simd), out);
-        each_lane(spread.touched, |lane| {
-            let beside = (both >> lane & 1 == 1).then(|| DensityLane::of(out, (lane, required)));
-            self.fill_spread(lod, spread, (lane, required, simd), out);
-            if let Some(beside) = beside {
-                beside.join(out, (lane, required));
-            }
-        });
-        if measure == Measure::Opacity {
-            dispatch!(simd.level(), _simd => opacity_of_optical_depth(spread.touched, &mut out.opacity));
+        let both = near.touched & spread.touched;
+        let beside: Vec<(usize, DensityLane)> = (0..LANES)
+            .filter(|lane| both >> lane & 1 == 1)
+            .map(|lane| (lane, DensityLane::of(out, (lane, required))))
+            .collect();
+        let depths = self.beside_spread(lod, (near, spread), both, simd, out);
+        each_lane(spread.touched, |lane| self.fill_spread(lod, spread, (lane, required, simd), out));
+        for ((lane, mut beside), depth) in beside.into_iter().zip(depths) {
+            beside.depth = depth;
+            beside.join(out, (lane, measure, required));
         }
-        out.touched = of_near | spread.touched;
+        let alone = spread.touched & !both;
+        if measure == Measure::Opacity {
+            dispatch!(simd.level(), _simd => opacity_of_optical_depth(alone, &mut out.opacity));
+        }
+        out.touched = near.touched | spread.touched;
     }
 
     /// What densities absorb beside what is seen from afar, which adds to the density that they are
-    /// in: of g at both together, by their part of it. As optical depths.
+    /// in: of g at both together, by their part of it. As optical depths, of some lanes.
     fn beside_spread(
         &self,
         lod: &CloudLod,
         (near, spread): (&mut FieldSamples, &FieldSamples),
-        (required, simd): (RequiredOutputs, SimdLevel),
+        lanes: u64,
+        simd: SimdLevel,
         out: &mut NodeSamples,
-    ) {
+    ) -> Vec<SampleRow> {
         let channel = lod.decoder.channel(FarChannel::Density);
-        let own: Vec<(usize, SampleRow)> = (0..LANES)
-            .filter(|lane| near.touched >> lane & 1 == 1)
-            .map(|lane| (lane, near.density[lane]))
-            .collect();
-        for (lane, _) in &own {
-            let more = &spread.attribute[channel][*lane].0;
-            near.density[*lane].0.iter_mut().zip(more).for_each(|(d, more)| *d += more);
+        let lanes_of = || (0..LANES).filter(move |lane| lanes >> lane & 1 == 1);
+        let own: Vec<SampleRow> = lanes_of().map(|lane| near.density[lane]).collect();
+        for lane in lanes_of() {
+            let more = &spread.attribute[channel][lane].0;
+            near.density[lane].0.iter_mut().zip(more).for_each(|(d, more)| *d += more);
         }
+        let touched = std::mem::replace(&mut near.touched, lanes);
         self.fill_opacity(near, Measure::OpticalDepth, simd, out);
-        for (lane, density) in own {
-            let (opacity, all) = (&mut out.opacity[lane].0, &near.density[lane].0);
-            for j in 0..SLAB_SAMPLES {
-                opacity[j] = if density.0[j] > 0.0 { opacity[j] * (density.0[j] / all[j]) } else { 0.0 };
-            }
-            near.density[lane] = density;
-        }
-        each_lane(near.touched, |lane| self.fill_lane(near, (lane, None), (required, simd), out));
+        near.touched = touched;
+        let depths = lanes_of().zip(own).map(|(lane, own)| {
+            let (depth, all) = (&out.opacity[lane].0, &near.density[lane].0);
+            let of = |j: usize| if own.0[j] > 0.0 { depth[j] * (own.0[j] / all[j]) } else { 0.0 };
+            SampleRow(std::array::from_fn(of))
+        });
+        depths.collect()
     }
 
     /// Fills a lane with what is seen from afar; opacities are optical depths.
@@ -224,6 +229,7 @@ impl DensityLane {
         let row = |wanted: bool, rows: &[SampleRow]| if wanted { rows[lane] } else { ZERO };
         Self {
             opacity: out.opacity[lane],
+            depth: ZERO,
             color: out.color.each_ref().map(|rows| row(required.color, rows)),
             normal: out.normal.each_ref().map(|rows| row(required.normal, rows)),
             boundary: row(required.boundary, &out.boundary),
@@ -231,40 +237,47 @@ impl DensityLane {
         }
     }
 
-    /// Adds it to what is seen from afar: each by its part of what absorbs.
-    fn join(self, out: &mut NodeSamples, (lane, required): (usize, RequiredOutputs)) {
+    /// Joins it with what is seen from afar, of which there are optical depths: each has its part
+    /// of what absorbs.
+    fn join(self, out: &mut NodeSamples, (lane, measure, required): (usize, Measure, RequiredOutputs)) {
         for j in 0..SLAB_SAMPLES {
-            let (own, other) = (self.opacity.0[j], out.opacity[lane].0[j]);
-            let all = own + other;
-            if !(own > 0.0) || !(all > 0.0) {
-                continue;
+            let spread = out.opacity[lane].0[j];
+            let all = self.depth.0[j] + spread;
+            out.opacity[lane].0[j] = match measure {
+                _ if !(spread > 0.0) => self.opacity.0[j],
+                Measure::OpticalDepth => all,
+                Measure::Opacity => absorbed(all).min(MAX_OPACITY as f32),
+            };
+            let part = if spread > 0.0 { self.depth.0[j] / all } else { 1.0 };
+            if part > 0.0 {
+                self.mix(out, (lane, j, part), required);
             }
-            let part = own / all;
-            let mixed =
-                |own: f32, other: f32| if part < 1.0 { own * part + other * (1.0 - part) } else { own };
-            out.opacity[lane].0[j] = all;
-            if required.color {
-                for (rows, own) in out.color.iter_mut().zip(&self.color) {
-                    rows[lane].0[j] = mixed(own.0[j], rows[lane].0[j]);
-                }
+        }
+    }
+
+    /// Mixes what a sample has besides opacity.
+    fn mix(&self, out: &mut NodeSamples, (lane, j, part): (usize, usize, f32), required: RequiredOutputs) {
+        let mixed = |own: f32, other: f32| if part < 1.0 { own * part + other * (1.0 - part) } else { own };
+        if required.color {
+            for (rows, own) in out.color.iter_mut().zip(&self.color) {
+                rows[lane].0[j] = mixed(own.0[j], rows[lane].0[j]);
             }
-            if required.normal {
-                let mut sum = [0.0; 3];
-                for axis in 0..3 {
-                    sum[axis] = mixed(self.normal[axis].0[j], out.normal[axis][lane].0[j]);
-                }
-                let length = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
-                for axis in 0..3 {
-                    out.normal[axis][lane].0[j] = if length > 1e-6 { sum[axis] / length } else { 0.0 };
-                }
+        }
+        if required.normal {
+            let own = self.normal.each_ref().map(|row| row.0[j]);
+            let sum = [0, 1, 2].map(|axis| mixed(own[axis], out.normal[axis][lane].0[j]));
+            let length = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
+            for axis in 0..3 {
+                let of_both = if length > 1e-6 { sum[axis] / length } else { 0.0 };
+                out.normal[axis][lane].0[j] = if part < 1.0 { of_both } else { own[axis] };
             }
-            if required.boundary && part > 0.5 {
-                out.boundary[lane].0[j] = self.boundary.0[j];
-            }
-            for number in numbers(required.attributes) {
-                let rows = &mut out.attributes[number];
-                rows[lane].0[j] = mixed(self.attributes[number].0[j], rows[lane].0[j]);
-            }
+        }
+        if required.boundary && part > 0.5 {
+            out.boundary[lane].0[j] = self.boundary.0[j];
+        }
+        for number in numbers(required.attributes) {
+            let rows = &mut out.attributes[number];
+            rows[lane].0[j] = mixed(self.attributes[number].0[j], rows[lane].0[j]);
         }
     }
 }

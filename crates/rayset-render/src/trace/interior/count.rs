@@ -267,7 +267,7 @@ mod tests {
         let engine = Engine::start(files.clone(), exec, None, String::new()).expect("an engine");
         let program = Program::compile(&scene, Purpose::Surface, SimdLevel::default());
         let program = program.open(&files).expect("files in a working set");
-        let steps = StepRule::new(&program, &RenderSettings::default()).expect("steps");
+        let steps = StepRule::new(&program, &RenderSettings::default(), None).expect("steps");
         let lattice = Lattice::over(&scene.root.bounds(), 48).expect("a lattice");
         let (votes, axes) = count(&engine, program, steps, lattice).expect("votes");
         // Of rays at random distances from the axis, a tenth of a radius meets the shell without

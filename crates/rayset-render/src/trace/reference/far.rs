@@ -1,8 +1,8 @@
 //! What is seen of a cloud from afar, in `f64`: the cut through its aggregates for a picture, and
 //! the light that is absorbed along each ray. It is the judge of level of detail, and slow.
 //!
-//! Which cells of a leaf stand for its points follows from the leaf's place: those of one level, and
-//! of the next.
+//! Which cells of a leaf stand for its points follows from the leaf's place: those of one level,
+//! and of the next.
 
 use std::ops::Range;
 
@@ -304,8 +304,8 @@ struct Chord {
     /// Distances along the ray.
     from: f64,
     to: f64,
-    /// Where the ray is nearest to the middle, by how much the square of its distance in radii grows
-    /// from there, and that square there; and the share of the middle for a unit of volume.
+    /// Where the ray is nearest to the middle, by how much the square of its distance in radii
+    /// grows from there, and that square there; and the share of the middle for a unit of volume.
     nearest: f64,
     growth: f64,
     least: f64,

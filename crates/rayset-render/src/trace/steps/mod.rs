@@ -16,6 +16,7 @@
 
 mod chords;
 mod details;
+mod groups;
 mod local_rays;
 mod octree;
 

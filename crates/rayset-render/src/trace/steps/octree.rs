@@ -3,34 +3,23 @@
 //! The detail of a point is its radius, of flat ellipsoids less (`StoredShape::detail`). A node
 //! whose points all ask for about the same steps, or that is hardly wider than a cell of the finest
 //! of them, is a detail of the least of theirs, within its bounds. Of others, groups of
-//! [`GROUP_POINTS`] points are, which follow each other in a run, each of its least detail, within
-//! the box around the spheres of its points' radii. If a group's points are scattered, most rays
-//! that meet its box meet no point: then a ray has a detail where it passes through one.
-
-use std::ops::Range;
-
-use fearless_simd::f64x4;
-use fearless_simd::prelude::*;
+//! [`GROUP_POINTS`](super::groups::GROUP_POINTS) points are, which follow each other in a run, each
+//! of its least detail, within the box around the spheres of its points' radii. If a group's points
+//! are scattered, most rays that meet its box meet no point: then a ray has a detail where it
+//! passes through one.
 
 use super::chords::{Chord, Part, Place};
+use super::groups::{Group, GroupPoint, RunGroups};
 use super::local_rays::{Clipped, LocalRays};
 use super::{ASKED_THEMSELVES, CloudPlacement, CloudVolume, Packet, PixelDetail, SCATTERED, StepRule};
-use crate::field::{LANES, SimdLevel, dispatch};
+use crate::field::LANES;
 use crate::trace::access::{Access, Halt};
 use crate::trace::cloud::{RetainedNodes, each_own_page, run_bounds};
 use crate::trace::node_samples::each_lane;
-use rayset_base::geometry::{Aabb, DVec3};
+use rayset_base::geometry::Aabb;
 use rayset_base::nearest_first::NearestFirst;
-use rayset_files::octree::layout::RUN_POINTS;
 use rayset_files::octree::node::Node;
-use rayset_files::octree::page::Run;
 use rayset_files::octree::walk::{Visit, Visitor, Walk};
-
-/// Points of a run that are a detail together: few enough that their box is not much larger than
-/// the spheres in it.
-const GROUP_POINTS: usize = 16;
-
-const _: () = assert!(RUN_POINTS.is_multiple_of(GROUP_POINTS) && GROUP_POINTS.is_multiple_of(4));
 
 /// A node no wider than so many cells of the steps that its finest points ask for is not divided.
 const LONGEST_WHOLE: f64 = 2.0;
@@ -378,101 +367,5 @@ impl Meeting<'_> {
                 }
             }
         });
-    }
-}
-
-/// The points of a run, in groups; the last one is filled up with its last point.
-struct RunGroups<'t> {
-    cloud: &'t CloudPlacement,
-    simd: SimdLevel,
-    len: usize,
-    /// In the cloud's space.
-    position: [[f64; RUN_POINTS]; 3],
-    radius: [f64; RUN_POINTS],
-    detail: [f64; RUN_POINTS],
-}
-
-/// A point of a group, in the cloud's space.
-#[derive(Clone, Copy)]
-struct GroupPoint {
-    position: DVec3,
-    radius: f64,
-    detail: f64,
-}
-
-/// A group of points.
-struct Group<'t> {
-    run: &'t RunGroups<'t>,
-    /// Numbers of its points in the run.
-    numbers: Range<usize>,
-    /// The box around the spheres of their radii, in the cloud's space.
-    bounds: Aabb,
-    least_detail: f64,
-}
-
-impl Group<'_> {
-    fn points(&self) -> impl Iterator<Item = GroupPoint> {
-        let RunGroups { position: [x, y, z], radius, detail, .. } = self.run;
-        self.numbers.clone().map(move |i| {
-            let position = DVec3::new(x[i], y[i], z[i]);
-            GroupPoint { position, radius: radius[i], detail: detail[i] }
-        })
-    }
-}
-
-impl<'t> RunGroups<'t> {
-    fn new(cloud: &'t CloudPlacement, simd: SimdLevel) -> Self {
-        let radius = [f64::from(cloud.header().radius.min()); RUN_POINTS];
-        Self { cloud, simd, len: 0, position: [[0.0; RUN_POINTS]; 3], radius, detail: radius }
-    }
-
-    fn decode(&mut self, run: &Run<'_>) {
-        self.len = run.head.len();
-        if let Some(stored) = run.radii(self.cloud.header()) {
-            self.radius.iter_mut().zip(stored).for_each(|(radius, stored)| *radius = f64::from(stored));
-        }
-        run.decode_local_f64(self.cloud.root_cell, &mut self.position);
-        let center = run.head.position_bounds(self.cloud.root_cell).center();
-        let last_group = self.len..self.len.next_multiple_of(GROUP_POINTS);
-        for (column, center) in self.position.iter_mut().zip(center.to_array()) {
-            column[..self.len].iter_mut().for_each(|offset| *offset += center);
-            let last = column[self.len - 1];
-            column[last_group.clone()].fill(last);
-        }
-        let last = self.radius[self.len - 1];
-        self.radius[last_group.clone()].fill(last);
-        self.detail = self.radius;
-        if let Some(stored) = run.details(self.cloud.header()) {
-            self.detail.iter_mut().zip(stored).for_each(|(detail, stored)| *detail = f64::from(stored));
-            let last = self.detail[self.len - 1];
-            self.detail[last_group].fill(last);
-        }
-    }
-
-    fn each(&self, mut visit: impl FnMut(Group<'_>)) {
-        for first in (0..self.len).step_by(GROUP_POINTS) {
-            let (bounds, least_detail) = dispatch!(self.simd.level(), simd => self.bounds(simd, first));
-            let numbers = first..self.len.min(first + GROUP_POINTS);
-            visit(Group { run: self, numbers, bounds, least_detail });
-        }
-    }
-
-    /// The box around the spheres of the radii of a group, and the least detail.
-    #[inline(always)]
-    fn bounds<S: Simd>(&self, simd: S, first: usize) -> (Aabb, f64) {
-        let of = |column: &[f64; RUN_POINTS], at: usize| f64x4::from_slice(simd, &column[at..at + 4]);
-        let mut bounds = Aabb::EMPTY;
-        let (least, most) = (f64x4::splat(simd, f64::INFINITY), f64x4::splat(simd, f64::NEG_INFINITY));
-        for axis in 0..3 {
-            let (mut low, mut high) = (least, most);
-            for at in (first..first + GROUP_POINTS).step_by(4) {
-                let (position, radius) = (of(&self.position[axis], at), of(&self.radius, at));
-                low = low.min_precise(position - radius);
-                high = high.max_precise(position + radius);
-            }
-            (bounds.min[axis], bounds.max[axis]) = (low.reduce_min_precise(), high.reduce_max_precise());
-        }
-        let details = (first..first + GROUP_POINTS).step_by(4).map(|at| of(&self.detail, at));
-        (bounds, details.fold(least, |least, detail| least.min_precise(detail)).reduce_min_precise())
     }
 }

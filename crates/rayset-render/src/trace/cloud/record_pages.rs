@@ -1,0 +1,62 @@
+//! Where the records of a cloud's aggregates are read from.
+
+use super::lod::CloudLod;
+use super::placement::CloudPlacement;
+use crate::trace::access::{Access, Halt};
+use rayset_files::octree::aggregates::{Aggregate, AggregateHeader, AggregatePage, CellPlace};
+use rayset_store::working_set::PageGuard;
+
+/// The records of a cloud's aggregates, of which one page is held at a time.
+pub(super) struct RecordPages<'a> {
+    access: Access<'a>,
+    cloud: &'a CloudPlacement,
+    aggregates: &'a AggregateHeader,
+    held: Option<(u32, PageGuard)>,
+}
+
+impl<'a> RecordPages<'a> {
+    pub(super) fn new(access: Access<'a>, cloud: &'a CloudPlacement, lod: &'a CloudLod) -> Self {
+        Self { access, cloud, aggregates: &lod.aggregates, held: None }
+    }
+
+    /// The page of a record, its number in the file, and the record's place in it.
+    pub(super) fn page_of(&mut self, record: u32) -> Result<(AggregatePage<'_>, u32, usize), Halt> {
+        let header = self.cloud.header();
+        let (page, index) = self.aggregates.place_of(record, header.page_bytes);
+        let page = header.point_pages + header.node_pages + page;
+        if record >= self.aggregates.records() {
+            return Err(self.cloud.broken(page.min(header.pages().saturating_sub(1))).into());
+        }
+        let is_held = self.held.as_ref().is_some_and(|(held, _)| *held == page);
+        if !is_held {
+            self.held = Some((page, self.access.retain(self.cloud, page)?));
+        }
+        let Some((_, bytes)) = &self.held else { return Err(self.cloud.broken(page).into()) };
+        Ok((AggregatePage::trusted(bytes, header, self.aggregates), page, index))
+    }
+
+    /// What a walk reads of the record of a cell at a level.
+    pub(super) fn place(&mut self, record: u32, level: u8) -> Result<CellPlace, Halt> {
+        let (page, number, index) = self.page_of(record)?;
+        let place = page.place(index, level);
+        place.ok_or_else(|| self.cloud.broken(number).into())
+    }
+
+    /// A whole record of a cell at a level.
+    pub(super) fn record(&mut self, record: u32, level: u8) -> Result<Aggregate, Halt> {
+        let (page, number, index) = self.page_of(record)?;
+        let found = page.get(index, level);
+        found.ok_or_else(|| self.cloud.broken(number).into())
+    }
+
+    /// Number of all records.
+    pub(super) fn records(&self) -> u32 {
+        self.aggregates.records()
+    }
+
+    /// How many records from one on are in its page.
+    pub(super) fn left_in_page(&self, record: u32) -> u32 {
+        let per_page = self.aggregates.records_per_page(self.cloud.header().page_bytes).max(1);
+        per_page - record % per_page
+    }
+}
