@@ -5,10 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use rayset::cancel::CancelToken;
+use rayset::container::{PAGE_HEAD_BYTES, reseal};
 use rayset::field::Kernel;
 use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
-use rayset::octree::aggregates::{AggregateOptions, add_to_file};
+use rayset::octree::aggregates::{AGGREGATE_BYTES, AggregateOptions, add_to_file};
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::points::Workload;
 use rayset::scene::{
@@ -17,7 +18,7 @@ use rayset::scene::{
 use rayset::trace::ExecSettings;
 use rayset::trace::reference::far::{Far, opacities};
 
-use crate::common::{bits, build_at, folder, mixed_points, paged, picture, scene_of, settings};
+use crate::common::{Random, bits, build_at, folder, mixed_points, paged, picture, scene_of, settings};
 
 fn add(path: &Path) {
     let options = AggregateOptions::default().with_memory_bytes(64 << 20).with_threads(2);
@@ -158,4 +159,41 @@ fn footprints_out_of_range_are_refused() {
         let refused = picture(&scene, &camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30));
         assert!(refused.expect_err("refused").to_string().contains("level of detail"));
     }
+}
+
+/// Aggregates whose checksums are right and that say anything else make a picture, or an error that
+/// names the file.
+#[test]
+fn damaged_aggregates_make_pictures_or_errors() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    build_at(&path, Box::new(mixed_points(9000, 3.0, 6)), &BuildOptions::default());
+    add(&path);
+    let header = Cloud::open(&path).expect("it opens").header().clone();
+    let whole = std::fs::read(&path).expect("a read");
+    let first = header.page_offset(header.point_pages + header.node_pages) as usize + PAGE_HEAD_BYTES;
+    let records = header.aggregates.expect("aggregates").records() as usize;
+    let (mut random, mut pictures, mut errors) = (Random(9), 0, 0);
+    for round in 0..60 {
+        let mut bytes = whole.clone();
+        // Of places in the tree and of all else, in some records of the first page.
+        for _ in 0..1 + round % 8 {
+            let record = (random.unit() * records.min(400) as f64) as usize;
+            let byte = [27, 26, 28, 29, 32, 33, 34, 20, 22, 12][(random.unit() * 10.0) as usize];
+            bytes[first + AGGREGATE_BYTES * record + byte] = (random.unit() * 256.0) as u8;
+        }
+        reseal(&mut bytes);
+        std::fs::write(&path, &bytes).expect("a write");
+        let (object, camera) = seen_from(&path, 4.0);
+        let scene = lit(object);
+        let settings = settings(12, 12).with_lod(Lod::Footprint(0.3));
+        match picture(&scene, &camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30)) {
+            Ok(_) => pictures += 1,
+            Err(error) => {
+                assert!(error.to_string().contains("c.rset"), "{error}");
+                errors += 1;
+            }
+        }
+    }
+    assert!(pictures > 3 && errors > 3, "{pictures} pictures and {errors} errors");
 }

@@ -39,8 +39,10 @@ impl<'t> Covers<'t> {
         let of_mass = seen.lod.decoder.of_mass(&pages.record(nearest, level)?);
         let mut found = Self { node, of_mass, covers: Vec::new() };
         for cells in &node.levels {
-            let mut record = first_at(pages, *cells, first_point)?;
-            while record < cells.end {
+            let first = first_at(pages, *cells, first_point)?;
+            // Each has a point of its own, unless the file contradicts itself.
+            let end = first.saturating_add(len as u32 + 1).min(cells.end);
+            for record in first..end {
                 let place = pages.place(record, cells.level)?;
                 let from = i64::from(place.first_point) - i64::from(first_point);
                 let end = from + i64::from(place.more_points) + 1;
@@ -56,7 +58,6 @@ impl<'t> Covers<'t> {
                     part: cells.part_of(&place),
                     of_mass,
                 });
-                record += 1;
             }
         }
         Ok(found)
