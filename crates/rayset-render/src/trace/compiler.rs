@@ -15,6 +15,7 @@ use super::unopened::Unopened;
 use crate::field::{Kernel, SimdLevel};
 use crate::scene::{
     CloudObject, GridObject, LightKind, Lighting, Lod, Material, Node, Operator, Procedural, Scene, Shape,
+    Transfer,
 };
 use rayset_base::geometry::{Aabb, DAffine3};
 
@@ -88,6 +89,11 @@ impl Compiler<'_> {
             return at;
         }
         let of_leaf = self.of_leaf(material, &node.shape);
+        // A function of the opacity of what is seen from afar is not what points would make of it.
+        let lod = self.lod;
+        if node.transfers.iter().any(|t| matches!(t, Transfer::Opacity { .. })) {
+            self.lod = Lod::Off;
+        }
         let (action, bounds, color) = match &node.shape {
             Shape::Operator(operator, children) => {
                 self.operator(*operator, children, &world_from_local, material)
@@ -96,6 +102,7 @@ impl Compiler<'_> {
             Shape::Grid(object) => self.grid(object, &world_from_local, of_leaf),
             Shape::Procedural(field) => self.procedural(field, &world_from_local, of_leaf),
         };
+        self.lod = lod;
         let transfers: Vec<CompiledTransfer> =
             node.transfers.iter().map(|t| CompiledTransfer::new(t, &self.names)).collect();
         let recolored = transfers.iter().any(CompiledTransfer::makes_color);
@@ -217,7 +224,8 @@ impl Compiler<'_> {
         self.instructions[root].required = self.wanted_of_root(purpose, color, material.is_none());
         self.instructions[root].measures.1 = Measure::OpticalDepth;
         let has_splats = self.instructions.iter().any(|instruction| {
-            matches!(&instruction.action, Action::Cloud(volume) if volume.shading.kernel == Kernel::Splat)
+            matches!(&instruction.action, Action::Cloud(volume)
+                if volume.shading.kernel == Kernel::Splat || volume.lod.is_some())
         });
         for at in (0..=root).rev() {
             self.pass_down(at, has_splats);

@@ -101,7 +101,7 @@ pub(super) struct Program<P = Arc<Object>> {
     /// Outputs that all samples share.
     pub(super) constants: Constants,
     pub(super) simd: SimdLevel,
-    /// Whether some objects are splats, which absorb more than others may.
+    /// Whether some objects are splats, or are seen from afar: these absorb more than others may.
     pub(super) has_splats: bool,
 }
 
@@ -208,6 +208,17 @@ impl Program {
     /// The cloud of an instruction, if it is one.
     pub(super) fn cloud(&self, at: usize) -> Option<&CloudVolume> {
         if let Action::Cloud(volume) = &self.instructions[at].action { Some(volume) } else { None }
+    }
+
+    /// What is to be said of clouds of which every point is seen though less was asked for.
+    pub(super) fn seen_whole(&self) -> impl Iterator<Item = String> {
+        self.instructions.iter().filter_map(|instruction| match &instruction.action {
+            Action::Cloud(volume) => {
+                let path = volume.placement.cloud().path().display();
+                volume.why_whole.map(|why| format!("{path}: every point is seen: {why}"))
+            }
+            _ => None,
+        })
     }
 
     /// The grid of an instruction, if it is one.

@@ -198,6 +198,7 @@ impl Session {
         let memory = CapMemory { engine: &self.0, reservation: reservation.as_ref() };
         let (capped, remarks) = interior::with_caps(scene, settings, &files, &memory)?;
         let world = World::compile(&capped, settings, self.0.exec.simd, &files)?;
+        let remarks = remarks.into_iter().chain(world.program.seen_whole()).collect();
         Ok(PreparedScene::new(scene.clone(), world, *settings, self.0.clone(), reservation, remarks))
     }
 

@@ -137,6 +137,13 @@ fn points_of_two_pixels_and_more_are_seen_as_without_level_of_detail() {
     let mut object = seen_from(&path, 4.0).0;
     object.kernel = Kernel::Triweight;
     let other = lit(object);
+    let session = rayset::Session::builder().build().expect("a session");
+    let prepared = session.prepare(&other, &settings(24, 24).with_lod(Lod::AUTO)).expect("a scene");
+    assert!(
+        matches!(prepared.remarks(), [said] if said.contains("another kernel")),
+        "{:?}",
+        prepared.remarks()
+    );
     let with = |lod: Lod| {
         let settings = settings(24, 24).with_lod(lod);
         bits(

@@ -36,13 +36,10 @@ impl CloudLod {
         lod: Lod,
     ) -> Option<Self> {
         let Lod::Footprint(factor) = lod else { return None };
-        let header = object.cloud.header();
-        let aggregates = header.aggregates.clone()?;
-        let is_for_it = aggregates.kernel == object.kernel && aggregates.normalised == object.normalised;
-        let is_as_built = header.radius_scale == 1.0 && header.weight.min() >= 0.0;
-        if !is_for_it || !is_as_built || object.kernel == Kernel::Splat || !keeps_angles(world_from_local) {
+        if why_whole(object, world_from_local).is_some() {
             return None;
         }
+        let aggregates = object.cloud.header().aggregates.clone()?;
         let stretch = 1.0 / largest_stretch(world_from_local);
         let opacity = &object.transfer.opacity;
         let g = |density: f64| opacity.extinction(density, scene.unit_distance) / stretch;
@@ -91,6 +88,24 @@ impl CloudLod {
         let reach = DEVIATIONS * cell.deviation + OF_PIXEL * sight.pixel_at(cell.centroid);
         Aabb::new(cell.centroid, cell.centroid).inflated(reach)
     }
+}
+
+/// Why every point of an object is seen, whatever is asked for.
+pub(super) fn why_whole(object: &CloudObject, world_from_local: &DAffine3) -> Option<&'static str> {
+    let header = object.cloud.header();
+    if object.kernel == Kernel::Splat {
+        return Some("it is of splats");
+    }
+    let Some(aggregates) = &header.aggregates else {
+        return Some("its file has no aggregates (rayset lod adds them)");
+    };
+    if aggregates.kernel != object.kernel || aggregates.normalised != object.normalised {
+        return Some("its aggregates are of another kernel (rayset lod --kernel makes others)");
+    }
+    if header.radius_scale != 1.0 || header.weight.min() < 0.0 {
+        return Some("its radii are scaled, or some weights are negative");
+    }
+    (!keeps_angles(world_from_local)).then_some("it is stretched")
 }
 
 /// Whether a map is a rotation with the same scale in all directions.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::lod::CloudLod;
+use super::lod::{CloudLod, why_whole};
 use super::placement::CloudPlacement;
 use super::shading::CloudShading;
 use crate::scene::{CloudObject, Lod, Scene};
@@ -18,6 +18,8 @@ pub(in crate::trace) struct CloudVolume<P = Arc<Object>> {
     pub(in crate::trace) shading: CloudShading,
     /// If it may be seen from afar.
     pub(in crate::trace) lod: Option<Box<CloudLod>>,
+    /// Why it may not, if that was asked for.
+    pub(in crate::trace) why_whole: Option<&'static str>,
 }
 
 impl CloudVolume<Unopened> {
@@ -29,8 +31,10 @@ impl CloudVolume<Unopened> {
     ) -> Self {
         let placement = CloudPlacement::new(object, world_from_local);
         let shading = CloudShading::new(object, placement.local_from_world(), scene, material);
+        let is_asked = lod != Lod::Off;
+        let why_whole = why_whole(object, world_from_local).filter(|_| is_asked);
         let lod = CloudLod::new(object, world_from_local, scene, lod).map(Box::new);
-        Self { placement, shading, lod }
+        Self { placement, shading, lod, why_whole }
     }
 
     /// Sets what fields carry, for the required outputs and the names of the program's attributes.
@@ -43,7 +47,12 @@ impl CloudVolume<Unopened> {
 
     /// With its pages in a working set; `None` if they are in none.
     pub(in crate::trace) fn open(self, paged: &PagedFiles) -> Option<CloudVolume> {
-        Some(CloudVolume { placement: self.placement.open(paged)?, shading: self.shading, lod: self.lod })
+        Some(CloudVolume {
+            placement: self.placement.open(paged)?,
+            shading: self.shading,
+            lod: self.lod,
+            why_whole: self.why_whole,
+        })
     }
 }
 
