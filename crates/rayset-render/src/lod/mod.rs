@@ -1,7 +1,7 @@
 //! Level of detail: what is seen of points from afar, in place of each of them, once a pixel is as
-//! wide as the cell that they are in. How much of a cell is seen so is the *cut*; what aggregates
-//! then absorb of a ray is their *closure*, whose parts are the area that one takes of the light
-//! (`cross_sections`) and what several in one place make of their areas (`closure`).
+//! wide as the cell that they are in. How much of a cell is seen so is the *cut*. What aggregates
+//! then absorb of a ray is their *closure*. It has two parts: the area that one takes of the light
+//! (`cross_sections`), and what several in one place make of their areas (`closure`).
 //!
 //! The constants are those of an experiment with clouds of all kinds against the truth by many
 //! rays. They may be changed without files becoming others.

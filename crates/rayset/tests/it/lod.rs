@@ -1,5 +1,5 @@
-//! What is seen of points from afar by the renderer is what the judge says that is seen of them, on
-//! any machine, by any way of working; and points that are large are seen as they always were.
+//! The renderer sees of points from afar what the judge says that is seen of them. How the work is
+//! done makes no difference. Points that are large are seen as they always were.
 
 use std::path::Path;
 use std::sync::Arc;

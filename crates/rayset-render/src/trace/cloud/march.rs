@@ -24,8 +24,9 @@ const AHEAD_BYTES: usize = 24 << 10;
 /// gradient, colours of points or densities, and what the closure needs.
 const SPREAD_ROWS: usize = 1 + 3 + 3 + 10;
 
-/// What is kept of the cut through a cloud that is seen from afar: 10 to 150 KiB as measured.
-const CUT_BYTES: usize = 96 << 10;
+/// What is kept of the cut through a cloud that is seen from afar. As measured at most, of surfaces
+/// 100 KiB, of gas 700.
+const CUT_BYTES: usize = 768 << 10;
 
 /// What the runs of a batch take of more columns than those of densities have.
 const MORE_COLUMNS_BYTES: usize = 32 << 10;

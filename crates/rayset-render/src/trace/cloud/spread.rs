@@ -196,9 +196,9 @@ impl CloudShading {
     }
 }
 
-/// The closure: optical depths per unit distance, which is so long in the cloud's space, of sums of
-/// the area that takes light, of that which is covered, and of this times its length and times its
-/// depth; as `lod::closure` has it in double precision.
+/// The closure, as `lod::closure` has it in double precision: optical depths per unit distance. The
+/// sums are those of the area that takes light, of the area that is covered, and of the latter
+/// times its length and times its depth. A unit distance is `unit` long in the cloud's space.
 #[inline(always)]
 fn closed([area, cover, length, depth]: [&[f32; SLAB_SAMPLES]; 4], unit: f32, out: &mut [f32; SLAB_SAMPLES]) {
     let stacking = STACKING as f32;
