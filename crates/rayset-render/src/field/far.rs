@@ -101,6 +101,11 @@ impl FarDecoder {
         self.has_normals
     }
 
+    /// Whether a channel is one of colours that follow from densities.
+    pub(super) fn is_color(&self, channel: usize) -> bool {
+        self.colors_densities && channel >= self.channel(FarChannel::Color)
+    }
+
     /// The first channel of the closure.
     pub(super) fn first_of_closure(&self) -> usize {
         self.columns.channels()

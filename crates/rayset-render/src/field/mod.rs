@@ -2,10 +2,12 @@
 //! rays, and the brute-force reference that all of it is tested against.
 
 mod batch;
+mod clusters;
 mod columns;
 mod counts;
 mod far;
 mod far_points;
+mod footprints;
 mod gaussian_splat;
 mod group;
 mod harmonics;
@@ -16,6 +18,7 @@ mod packet;
 mod pairs;
 mod places;
 mod plates;
+mod principal_axes;
 mod ray_columns;
 pub mod reference;
 mod run;
@@ -35,7 +38,7 @@ pub use batch::{Appended, BATCH_BYTES, RunBatch};
 pub use columns::AttributeColumns;
 pub use counts::SplatCounts;
 pub(crate) use far::{FarChannel, FarDecoder};
-pub(crate) use far_points::PointParts;
+pub(crate) use far_points::{FarScratch, PointParts};
 pub use kept_runs::{KEPT_BYTES, RunKey, RunPart};
 pub use packet::{BLOCK_SAMPLES, LANES, Packet, SLAB_SAMPLES, Slab};
 pub use ray_columns::{ChosenRays, Crossing, Near, RayColumns};

@@ -13,52 +13,13 @@
 //! det P is in proportion to |A t|²/det A².
 
 use super::columns::{MAP_COLUMNS, PointColumns};
+use super::footprints::{Footprints, dot};
 use super::run::DecodedRun;
-use super::sight::{Eye, Sight};
+use super::sight::Sight;
 use super::simd::{SimdLevel, dispatch};
 use super::splat_filter::SplatFilter;
 use crate::math::ln;
 use rayset_files::octree::layout::RUN_POINTS;
-
-/// What a filter adds to the points of a run.
-struct Added {
-    /// s² of each.
-    variance: [f32; RUN_POINTS],
-    /// The direction to each from the eye, of length one.
-    toward: [[f32; RUN_POINTS]; 3],
-}
-
-impl Added {
-    /// By places relative to the centre of a run.
-    #[inline(always)]
-    fn new(filter: SplatFilter, sight: &Sight, run: &DecodedRun) -> Self {
-        let edge = sight.pixel * filter.variance().sqrt();
-        let mut added = Self { variance: [(edge * edge) as f32; RUN_POINTS], toward: [[0.0; RUN_POINTS]; 3] };
-        match sight.eye {
-            Eye::Along(direction) => {
-                let direction = direction.normalize_or_zero().to_array();
-                added.toward = direction.map(|v| [v as f32; RUN_POINTS]);
-            }
-            Eye::At(eye) => {
-                let from = (run.center - eye).to_array().map(|v| v as f32);
-                let forward = sight.forward.to_array().map(|v| v as f32);
-                let (least, position) = (sight.corner_cosine as f32, &run.points.position);
-                for i in 0..RUN_POINTS {
-                    let offset = [0, 1, 2].map(|axis| from[axis] + position[axis][i]);
-                    // Not a number at the eye itself, which `max` leaves out.
-                    let inverse = 1.0 / dot(offset, offset).sqrt();
-                    let cosine = (dot(offset, forward) * inverse).max(least);
-                    let across = added.variance[i] * cosine * cosine * cosine;
-                    added.variance[i] = across * dot(offset, offset);
-                    for axis in 0..3 {
-                        added.toward[axis][i] = offset[axis] * inverse;
-                    }
-                }
-            }
-        }
-        added
-    }
-}
 
 impl DecodedRun {
     /// Widens splats by what a filter adds to each where it is. Returns the least detail of those
@@ -67,7 +28,7 @@ impl DecodedRun {
     #[inline(never)]
     pub(super) fn widen(&mut self, filter: SplatFilter, sight: &Sight, simd: SimdLevel) -> f64 {
         dispatch!(simd.level(), _simd => {
-            let added = Added::new(filter, sight, self);
+            let added = Footprints::new(sight, sight.pixel * filter.variance().sqrt(), self);
             let compensates = filter == SplatFilter::Mip;
             if self.points.map.is_empty() {
                 widen_balls(&added, compensates, &mut self.points);
@@ -105,10 +66,10 @@ fn compensated(extent: f32, grown: f32) -> (f32, f32) {
 // Loops over plain columns, without branches: the compiler makes vectors of them.
 
 #[inline(always)]
-fn widen_balls(added: &Added, compensates: bool, points: &mut PointColumns) {
+fn widen_balls(added: &Footprints, compensates: bool, points: &mut PointColumns) {
     for i in 0..RUN_POINTS {
         let (extent, inverse) = (points.weight[i], points.inverse_radius[i]);
-        let wider = wider_by(2.0 * extent * added.variance[i] * inverse * inverse);
+        let wider = wider_by(2.0 * extent * added.squared[i] * inverse * inverse);
         let (left, kept) = if compensates { compensated(extent, ln(wider)) } else { (extent, 1.0) };
         let radius = points.radius[i] * (wider * kept).sqrt();
         points.radius[i] = radius;
@@ -119,7 +80,7 @@ fn widen_balls(added: &Added, compensates: bool, points: &mut PointColumns) {
 
 /// Returns the detail of each.
 #[inline(always)]
-fn widen_ellipsoids(added: &Added, compensates: bool, points: &mut PointColumns) -> [f32; RUN_POINTS] {
+fn widen_ellipsoids(added: &Footprints, compensates: bool, points: &mut PointColumns) -> [f32; RUN_POINTS] {
     let mut detail = [f32::INFINITY; RUN_POINTS];
     let Some(map) = points.map.first_chunk_mut::<MAP_COLUMNS>() else { return detail };
     for i in 0..RUN_POINTS {
@@ -127,7 +88,7 @@ fn widen_ellipsoids(added: &Added, compensates: bool, points: &mut PointColumns)
         // Of each semi-axis, one by its square.
         let inverse = rows.map(|row| dot(row, row));
         let extent = points.weight[i];
-        let wider = inverse.map(|inverse| wider_by(2.0 * extent * added.variance[i] * inverse));
+        let wider = inverse.map(|inverse| wider_by(2.0 * extent * added.squared[i] * inverse));
         let (left, kept) = if compensates {
             let toward = [0, 1, 2].map(|axis| added.toward[axis][i]);
             let along = rows.map(|row| dot(row, toward) * dot(row, toward));
@@ -152,9 +113,4 @@ fn widen_ellipsoids(added: &Added, compensates: bool, points: &mut PointColumns)
         detail[i] = radius.min(2.0 * (wider[2] * kept / inverse[2]).sqrt());
     }
     detail
-}
-
-#[inline(always)]
-fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

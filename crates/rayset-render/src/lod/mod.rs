@@ -7,9 +7,11 @@
 //! rays. They may be changed without files becoming others.
 
 mod closure;
+mod clusters;
 mod cross_sections;
 mod cut;
 
 pub(crate) use self::closure::{Absorber, MOST_DEPTH, MOST_OPACITY, SPREAD, STACKING, STRETCH, Seen, Sums};
+pub(crate) use self::clusters::ClusterCells;
 pub(crate) use self::cross_sections::CrossSections;
 pub(crate) use self::cut::{LEAST_PART, density_part, part_of_cell, part_of_last_cell};

@@ -2,10 +2,11 @@
 
 use std::ops::Range;
 
-use super::cut::{NONE, NodeCut, RecordRange, Seen};
+use super::cut::NodeCut;
 use super::live_rays::LiveRays;
 use super::lod::CloudLod;
 use super::nodes::RetainedNodes;
+use super::parts::{NONE, RecordRange, Seen};
 use super::placement::CloudPlacement;
 use crate::field::{Packet, Sight};
 use crate::trace::access::{Access, Halt};
@@ -111,6 +112,8 @@ pub(in crate::trace) fn run_bounds(cloud: &CloudPlacement, points: &PointPage<'_
 pub(super) struct PacketInCloud<'a> {
     pub(super) access: Access<'a>,
     pub(super) cloud: &'a CloudPlacement,
+    /// The cloud's number.
+    pub(super) number: usize,
     /// In the cloud's space.
     pub(super) packet: &'a Packet,
     pub(super) rays: &'a LiveRays,

@@ -6,6 +6,7 @@
 
 use super::ahead::{Active, Ahead, Item, PacketInCloud};
 use super::cut::Cut;
+use super::leaf_cut::LeafCuts;
 use super::nodes::NodesInMemory;
 use super::opening::Opening;
 use super::placement::CloudPlacement;
@@ -37,9 +38,9 @@ impl Frontier {
         self.heap.clear();
         self.aside.clear();
         self.cut.clear();
-        let mut none = Active::default();
+        let (mut none, mut no_leaves) = (Active::default(), LeafCuts::default());
         let Self { heap, aside, walk, cut } = self;
-        let mut opening = Opening::new(place, (heap, aside, cut), (NOWHERE, 0), &mut none);
+        let mut opening = Opening::new(place, (heap, aside, cut), &mut no_leaves, (NOWHERE, 0), &mut none);
         opening.begin()?;
         walk.begin(&mut place.nodes(), &mut opening)
     }
@@ -57,10 +58,10 @@ impl Frontier {
         place: PacketInCloud<'_>,
         slab: Slab,
         since: u64,
-        active: &mut Active,
+        (active, leaves): (&mut Active, &mut LeafCuts),
     ) -> Result<(), Halt> {
         let Self { heap, aside, walk, cut } = self;
-        let mut opening = Opening::new(place, (heap, aside, cut), (slab, since), active);
+        let mut opening = Opening::new(place, (heap, aside, cut), leaves, (slab, since), active);
         let outcome = walk.go_on(&mut place.nodes(), &mut opening);
         let opened_last = opening.entry;
         self.aside.drain(..).for_each(|(first, entry)| self.heap.push(first, entry));

@@ -2,13 +2,16 @@
 //! from afar aggregates and points as Gaussians.
 
 use super::ahead::{ActiveRecords, ActiveRuns, PacketInCloud, RunCut, Runs};
-use super::cut::{Cut, NONE};
+use super::cut::Cut;
 use super::live_rays::bits_between;
-use super::point_parts::Covers;
+use super::parts::NONE;
+use super::point_parts::set_parts;
 use super::record_pages::RecordPages;
 use super::request::Request;
 use super::volume::CloudVolume;
-use crate::field::{Appended, FieldSamples, Packet, RayEnds, RunBatch, RunKey, RunPart, Slab, Splatter};
+use crate::field::{
+    Appended, FarScratch, FieldSamples, Packet, RayEnds, RunBatch, RunKey, RunPart, Slab, Splatter,
+};
 use crate::trace::access::Halt;
 use crate::trace::counts::RenderCounts;
 use rayset_files::octree::page::PointPage;
@@ -28,6 +31,7 @@ pub(super) struct Samples<'t> {
     pub(super) batch: &'t mut RunBatch,
     pub(super) counts: &'t mut RenderCounts,
     pub(super) field: &'t mut FieldSamples,
+    pub(super) far: &'t mut FarScratch,
 }
 
 impl Gathering<'_> {
@@ -105,7 +109,7 @@ impl Gathering<'_> {
         let from_afar = self.place.seen_from_afar().filter(|_| cut.node != NONE);
         let Some(seen) = from_afar else {
             let of = (&shading.decoder, &run, header);
-            return to.add(on, |batch| Ok(batch.append(of, Some(key), on, simd)));
+            return to.add(on, |batch, _| Ok(batch.append(of, Some(key), on, simd)));
         };
         let bounds = run.head.position_bounds(cloud.root_cell);
         let (sight, radius_max) = (seen.sight, f64::from(run.head.radius_max()));
@@ -118,19 +122,19 @@ impl Gathering<'_> {
         }
         let what = if what == RunPart::Whole { RunPart::Density } else { what };
         let key = RunKey { what, ..key };
-        to.add(on, |batch| {
+        to.add(on, |batch, far| {
             batch.append_made(key, on, simd, |step, out| {
                 let node = &self.cut.nodes[cut.node as usize];
                 let mut pages = RecordPages::new(self.place.access, cloud, seen.lod);
                 let of_run = (cut.first_point, run.head.len());
-                let covers = Covers::find((seen, &mut pages), node, of_run)?;
                 shading.decoder.decode_each(&run, header, (step, Some(sight)), simd, out);
-                let parts = covers.parts(out.radii(), run.head.len());
+                set_parts((seen, &mut pages), node, of_run, out.radii(), &mut far.parts)?;
                 match what {
                     RunPart::Spread(_) => {
-                        out.spread_points(&seen.lod.decoder, &parts, (sight, simd));
+                        let root = (cloud.root_cell.min, cloud.root_cell.size);
+                        out.spread_points(&seen.lod.decoder, far, root, (sight, simd));
                     }
-                    _ => out.fade_points(&parts, sight, simd),
+                    _ => out.fade_points(&far.parts, sight, simd),
                 }
                 Ok(())
             })
@@ -158,7 +162,7 @@ impl Gathering<'_> {
                 let what = RunPart::Spread(here.len() as u16);
                 let cloud_number = self.volume.shading.number();
                 let key = RunKey { cloud: cloud_number, page: number, number: index as u16, what };
-                to.add(on, |batch| {
+                to.add(on, |batch, _| {
                     batch.append_made(key, on, simd, |_, out| {
                         seen.lod.decoder.decode_records(
                             (&page, cloud.header()),
@@ -183,12 +187,12 @@ impl Samples<'_> {
     fn add(
         &mut self,
         on: (&Packet, Slab, u64),
-        mut append: impl FnMut(&mut RunBatch) -> Result<Appended, Halt>,
+        mut append: impl FnMut(&mut RunBatch, &mut FarScratch) -> Result<Appended, Halt>,
     ) -> Result<(), Halt> {
-        let mut appended = append(self.batch)?;
+        let mut appended = append(self.batch, self.far)?;
         if appended == Appended::NoRoom {
             self.splat(on, None);
-            appended = append(self.batch)?;
+            appended = append(self.batch, self.far)?;
         }
         self.counts.runs += u64::from(appended == Appended::Decoded);
         Ok(())
@@ -196,7 +200,7 @@ impl Samples<'_> {
 
     /// Adds the batch to the samples. `ends` may be given if no runs follow for this slab.
     pub(super) fn splat(&mut self, (packet, slab, lanes): (&Packet, Slab, u64), ends: Option<RayEnds<'_>>) {
-        let Self { splatter, batch, counts, field } = self;
+        let Self { splatter, batch, counts, field, .. } = self;
         counts.splats += splatter.splat(batch, packet, slab, lanes, ends, field);
     }
 }

@@ -3,12 +3,13 @@
 use super::ahead::{Active, PacketInCloud};
 use super::frontier::Frontier;
 use super::gather::{Gathering, Samples};
+use super::leaf_cut::LeafCuts;
 use super::live_rays::LiveRays;
 use super::request::Request;
 use super::volume::CloudVolume;
 use crate::field::{
-    BATCH_BYTES, Channels, FieldSamples, KEPT_BYTES, LANES, Packet, RunBatch, RunPart, SampleRow, Sight,
-    SimdLevel, Splatter,
+    BATCH_BYTES, Channels, FarScratch, FieldSamples, KEPT_BYTES, LANES, Packet, RunBatch, RunPart, SampleRow,
+    Sight, SimdLevel, Splatter,
 };
 use crate::lod::SPREAD;
 use crate::trace::access::{Access, Halt};
@@ -59,6 +60,8 @@ pub(in crate::trace) struct CloudScratch {
     fields: Vec<FieldSamples>,
     /// The same of what is seen from afar.
     spread: Vec<FieldSamples>,
+    leaves: LeafCuts,
+    far: Box<FarScratch>,
 }
 
 impl CloudScratch {
@@ -68,12 +71,20 @@ impl CloudScratch {
         // Of class labels, the label and what speaks for it.
         let rows = 2 * channels + if from_afar { SPREAD_ROWS + 2 * channels } else { 0 };
         let sums = rows * LANES * size_of::<SampleRow>();
-        let columns = if from_afar { MORE_COLUMNS_BYTES } else { 0 };
+        let columns =
+            if from_afar { MORE_COLUMNS_BYTES + LeafCuts::BYTES + size_of::<FarScratch>() } else { 0 };
         if clouds > 0 { BATCH_BYTES as usize + columns + sums } else { 0 }
     }
 
     pub(in crate::trace) fn new() -> Self {
-        Self { batch: RunBatch::default(), room: Room::NotAsked, fields: Vec::new(), spread: Vec::new() }
+        Self {
+            batch: RunBatch::default(),
+            room: Room::NotAsked,
+            fields: Vec::new(),
+            spread: Vec::new(),
+            leaves: LeafCuts::default(),
+            far: Box::default(),
+        }
     }
 
     /// Borrows memory of the pages to keep decoded runs in, if there is much of it, or gives it
@@ -121,7 +132,15 @@ impl CloudMarch {
             None => sight,
         };
         let (packet, sight, lod) = (&self.packet, self.sight.as_ref(), volume.lod.as_deref());
-        self.frontier.begin(PacketInCloud { access, cloud, packet, rays: &rays, sight, lod })?;
+        self.frontier.begin(PacketInCloud {
+            access,
+            cloud,
+            number: volume.shading.number(),
+            packet,
+            rays: &rays,
+            sight,
+            lod,
+        })?;
         self.rays = Some(rays);
         Ok(())
     }
@@ -152,8 +171,9 @@ impl CloudMarch {
         rays.become_rays(&self.packet, slab, live, (going, waiting));
         let (cloud, packet, sight) = (&volume.placement, &self.packet, self.sight.as_ref());
         let lod = volume.lod.as_deref();
-        let place = PacketInCloud { access, cloud, packet, rays, sight, lod };
-        self.frontier.advance(place, slab, since, &mut self.active)?;
+        let number = volume.shading.number();
+        let place = PacketInCloud { access, cloud, number, packet, rays, sight, lod };
+        self.frontier.advance(place, slab, since, (&mut self.active, &mut scratch.leaves))?;
         if access.follows_lines && lod.is_none() {
             self.frontier.precache(place);
         }
@@ -164,14 +184,20 @@ impl CloudMarch {
         self.active.runs.sort_unstable();
         self.active.records.sort_unstable();
         let channels = volume.shading.channels(required);
-        let CloudScratch { batch, fields, spread, .. } = scratch;
+        let CloudScratch { batch, fields, spread, far, .. } = scratch;
         batch.clear();
         batch.set_sight(self.sight);
         let gathering = Gathering { place, volume, request, lanes, cut: &self.frontier.cut };
         let on = (packet, slab, lanes);
         let field = field_of(fields, channels);
         let splatter = Splatter { kernel: volume.shading.kernel, channels, simd };
-        let mut to = Samples { splatter, batch: &mut *batch, counts: &mut *counts, field: &mut *field };
+        let mut to = Samples {
+            splatter,
+            batch: &mut *batch,
+            counts: &mut *counts,
+            field: &mut *field,
+            far: &mut *far,
+        };
         gathering.runs(&self.active.runs, RunPart::Whole, &mut to)?;
         let Some(lod) = lod.filter(|_| self.active.some_from_afar()) else {
             to.splat(on, request.ray_ends(&volume.shading));
@@ -184,7 +210,7 @@ impl CloudMarch {
         let channels = Channels { attributes: lod.decoder.channels(), ..channels };
         let spread = field_of(spread, channels);
         let splatter = Splatter { kernel: SPREAD, channels, simd };
-        let mut to = Samples { splatter, batch, counts, field: &mut *spread };
+        let mut to = Samples { splatter, batch, counts, field: &mut *spread, far };
         gathering.records(&self.active.records, &mut to)?;
         gathering.runs(&self.active.runs, RunPart::Spread(0), &mut to)?;
         to.splat(on, None);

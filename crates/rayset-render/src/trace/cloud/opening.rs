@@ -4,8 +4,10 @@
 use super::ahead::{
     Active, ActiveRecords, ActiveRuns, Ahead, Item, PacketInCloud, RunCut, Runs, each_own_page,
 };
-use super::cut::{Cut, Left, NONE, NodeCut, NodePart, PointsOfNode, Seen};
+use super::cut::{Cut, NodeCut, PointsOfNode};
+use super::leaf_cut::LeafCuts;
 use super::nodes::RetainedNodes;
+use super::parts::{NONE, NodePart, Seen};
 use super::record_pages::RecordPages;
 use crate::field::{SLAB_SAMPLES, Slab};
 use crate::lod::LEAST_PART;
@@ -37,6 +39,7 @@ pub(super) struct Opening<'t> {
     /// The entry that is visited, with the first tick that it may reach.
     pub(super) entry: Option<(u64, Ahead)>,
     cut: &'t mut Cut,
+    leaves: &'t mut LeafCuts,
     records: Option<RecordPages<'t>>,
     /// The ticks that those of the children met so far may reach of which records are seen.
     span: Option<(u64, u64)>,
@@ -46,11 +49,12 @@ impl<'t> Opening<'t> {
     pub(super) fn new(
         place: PacketInCloud<'t>,
         (heap, aside, cut): (&'t mut NearestFirst<u64, Ahead>, &'t mut Vec<(u64, Ahead)>, &'t mut Cut),
+        leaves: &'t mut LeafCuts,
         (slab, since): (Slab, u64),
         active: &'t mut Active,
     ) -> Self {
         let records = place.seen_from_afar().map(|seen| RecordPages::new(place.access, seen.cloud, seen.lod));
-        Self { place, heap, aside, slab, since, active, entry: None, cut, records, span: None }
+        Self { place, heap, aside, slab, since, active, entry: None, cut, leaves, records, span: None }
     }
 
     /// The root is about to be met.
@@ -70,7 +74,9 @@ impl<'t> Opening<'t> {
         }
         let node_bounds = &self.place.bounds(node);
         let mut cut = RunCut { node: of_node, first_point: 0 };
-        let left = self.cut.nodes.get(of_node as usize).and_then(|of| of.left.clone());
+        let of = self.cut.nodes.get(of_node as usize);
+        let leaf = of.filter(|of| f64::from(node.radius_max) <= of.edge).and_then(|of| of.leaf.as_deref());
+        let left = leaf.and_then(|leaf| leaf.left.as_ref());
         each_own_page(access, cloud, node, |page, points, range| {
             if node.own.runs > MOST_SINGLE_RUNS {
                 let (first, last) = rays.ticks_in(packet, node_bounds).unwrap_or((0, 0));
@@ -85,7 +91,7 @@ impl<'t> Opening<'t> {
                 let of_run = cut;
                 let len = points.head(index).len() as u32;
                 cut.first_point += len;
-                if left.as_ref().is_some_and(|left| !left.has_some_of(of_run.first_point, len)) {
+                if left.is_some_and(|left| !left.has_some_of(of_run.first_point, len)) {
                     continue;
                 }
                 let bounds = self.place.run_bounds(points, index);
@@ -109,24 +115,23 @@ impl<'t> Opening<'t> {
         let (Some(seen), Some(records)) = (self.place.seen_from_afar(), &mut self.records) else {
             return Ok(Visit::Skip);
         };
-        let (mut levels, mut left) = (Vec::new(), (part.rest == 0.0).then(Left::default));
-        if node.child_mask == 0 && part.record != NONE && part.rest > 0.0 {
-            let PacketInCloud { packet, rays, .. } = self.place;
-            let heap = &mut *self.heap;
-            (levels, left) = self.cut.cells(seen, records, (node, part), |range, bounds| {
-                if let Some((first, last)) = rays.ticks_in(packet, &bounds) {
-                    heap.push(first, Ahead { last, item: Item::Records(range) });
-                }
-            })?;
-        }
-        let edge = seen.cloud.root_cell.size * 2_f64.powi(-i32::from(node.level));
+        let PacketInCloud { packet, rays, number, .. } = self.place;
+        let heap = &mut *self.heap;
+        let leaf = self.cut.cells(self.leaves, (number, seen), records, (node, part), |range, bounds| {
+            let Some((first, last)) = rays.ticks_in(packet, bounds) else { return false };
+            heap.push(first, Ahead { last, item: Item::Records(range) });
+            true
+        })?;
+        let edge = seen.edge(node.level);
         // A node does not stand for points that are larger.
-        if f64::from(node.radius_max) > edge {
-            left = None;
-        }
-        if node.own.runs > 0 && left.as_ref().is_none_or(|left| !left.is_empty()) {
+        let some_left = match &leaf {
+            _ if f64::from(node.radius_max) > edge => true,
+            Some(leaf) => leaf.left.as_ref().is_none_or(|left| !left.is_empty()),
+            None => part.rest > 0.0,
+        };
+        if node.own.runs > 0 && some_left {
             let of_node = self.cut.nodes.len() as u32;
-            self.cut.nodes.push(PointsOfNode { part, edge, levels, left });
+            self.cut.nodes.push(PointsOfNode { part, edge, leaf });
             self.open_own(node, walk, of_node)?;
         }
         if part.rest == 0.0 || node.child_mask == 0 {

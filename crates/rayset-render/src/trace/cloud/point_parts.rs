@@ -1,102 +1,65 @@
 //! By which part each point of a run is seen by itself, where cells stand for some of the points of
 //! its node.
 
-use super::cut::{CellLevel, PointsOfNode, Seen};
+use super::cut::PointsOfNode;
+use super::parts::Seen;
 use super::record_pages::RecordPages;
 use crate::field::PointParts;
 use crate::trace::access::Halt;
 use rayset_files::octree::layout::RUN_POINTS;
 
-/// A cell that has some points of a run.
-#[derive(Clone, Copy, Debug)]
-struct Cover {
-    /// Numbers of its points in the run.
-    from: usize,
-    end: usize,
-    /// Points with larger radii are not in its record.
-    edge: f64,
-    /// The part of its points for which it stands.
-    part: f32,
-    /// The area that a unit of its mass takes of the light, and its colour.
-    of_mass: (f64, [f32; 3]),
-}
-
-/// What stands for points of a run.
-pub(super) struct Covers<'t> {
-    node: &'t PointsOfNode,
-    of_mass: (f64, [f32; 3]),
-    covers: Vec<Cover>,
-}
-
-impl<'t> Covers<'t> {
-    /// Of a run of a node, whose points are so many from one on.
-    pub(super) fn find(
-        (seen, pages): (Seen<'_>, &mut RecordPages<'_>),
-        node: &'t PointsOfNode,
-        (first_point, len): (u32, usize),
-    ) -> Result<Self, Halt> {
-        let (nearest, level) = node.part.nearest;
-        let of_mass = seen.lod.decoder.of_mass(&pages.record(nearest, level)?);
-        let mut found = Self { node, of_mass, covers: Vec::new() };
-        for cells in &node.levels {
-            let first = first_at(pages, *cells, first_point)?;
-            // Each has a point of its own, unless the file contradicts itself.
-            let end = first.saturating_add(len as u32 + 1).min(cells.end);
-            for record in first..end {
-                let place = pages.place(record, cells.level)?;
-                let from = i64::from(place.first_point) - i64::from(first_point);
-                let end = from + i64::from(place.more_points) + 1;
-                if from >= len as i64 {
-                    break;
-                }
-                let of_mass = seen.lod.decoder.of_mass(&pages.record(record, cells.level)?);
-                let (from, end) = (from.max(0) as usize, end.clamp(0, len as i64) as usize);
-                found.covers.push(Cover {
-                    from,
-                    end,
-                    edge: cells.edge,
-                    part: cells.part_of(&place),
-                    of_mass,
-                });
-            }
-        }
-        Ok(found)
-    }
-
-    /// The parts of points with these radii.
-    pub(super) fn parts(&self, radii: &[f32; RUN_POINTS], len: usize) -> PointParts {
-        let rest = self.node.part.rest;
-        let (of_mass, color) = self.of_mass;
-        let (of_mass, color) = ([of_mass; RUN_POINTS], [color; RUN_POINTS]);
-        let mut parts = PointParts { part: [rest; RUN_POINTS], of_mass, color };
-        for &Cover { from, end, edge, part, of_mass } in &self.covers {
-            for i in from..end.max(from) {
-                if f64::from(radii[i]) <= edge {
-                    parts.part[i] = (parts.part[i] - part).max(0.0);
-                    (parts.of_mass[i], parts.color[i]) = of_mass;
+/// Sets the parts of the points of a run with these radii, which are so many of their node's from
+/// one on.
+pub(super) fn set_parts(
+    (seen, pages): (Seen<'_>, &mut RecordPages<'_>),
+    node: &PointsOfNode,
+    (first_point, len): (u32, usize),
+    radii: &[f32; RUN_POINTS],
+    out: &mut PointParts,
+) -> Result<(), Halt> {
+    out.part.fill(node.part.rest);
+    // Not a number until it is known.
+    out.of_mass.fill(f64::NAN);
+    let end_point = first_point + len as u32;
+    let in_run = |point: u32| (point.clamp(first_point, end_point) - first_point) as usize;
+    let levels = node.leaf.as_ref().map_or(&[][..], |leaf| &leaf.levels);
+    for covers in levels {
+        let first = covers.partition_point(|cover| cover.end <= first_point);
+        for cover in covers[first..].iter().take_while(|cover| cover.from < end_point) {
+            let (of_mass, color) = cover.of_mass.unwrap_or((f64::NAN, [0.0; 3]));
+            for i in in_run(cover.from)..in_run(cover.end) {
+                // Points with larger radii are not in the record.
+                if f64::from(radii[i]) <= cover.edge {
+                    out.part[i] = (out.part[i] - cover.part).max(0.0);
+                    (out.of_mass[i], out.color[i]) = (of_mass, color);
                 }
             }
         }
-        for (part, &radius) in parts.part[..len].iter_mut().zip(radii) {
-            if f64::from(radius) > self.node.edge {
-                *part = self.node.part.whole;
-            }
-        }
-        parts
     }
-}
-
-/// The first cell of a level that has a point from a number on.
-fn first_at(pages: &mut RecordPages<'_>, cells: CellLevel, point: u32) -> Result<u32, Halt> {
-    let (mut low, mut high) = (cells.first, cells.end);
-    while low < high {
-        let middle = low + (high - low) / 2;
-        let place = pages.place(middle, cells.level)?;
-        if u32::from(place.first_point) + u32::from(place.more_points) < point {
-            low = middle + 1;
-        } else {
-            high = middle;
+    for (part, &radius) in out.part[..len].iter_mut().zip(radii) {
+        if f64::from(radius) > node.edge {
+            *part = node.part.whole;
         }
     }
-    Ok(low)
+    let mut known = None;
+    for i in 0..len {
+        if !out.of_mass[i].is_nan() {
+            continue;
+        }
+        // The smallest cell that it is in has others below it, or there is none.
+        let point = first_point + i as u32;
+        let smallest = levels.iter().rev().find_map(|covers| {
+            let cover = covers.get(covers.partition_point(|cover| cover.end <= point))?;
+            let has_it = cover.from <= point && f64::from(radii[i]) <= cover.edge;
+            has_it.then_some((cover.record, cover.level))
+        });
+        let (record, level) = smallest.unwrap_or(node.part.nearest);
+        let of_mass = match known {
+            Some((of, known)) if of == record => known,
+            _ => seen.lod.decoder.of_mass(&pages.record(record, level)?),
+        };
+        known = Some((record, of_mass));
+        (out.of_mass[i], out.color[i]) = of_mass;
+    }
+    Ok(())
 }

@@ -8,10 +8,11 @@ use std::ops::Range;
 
 use crate::field::Sight;
 use crate::lod::{
-    Absorber, CrossSections, LEAST_PART, SPREAD, Seen, Sums, density_part, part_of_cell, part_of_last_cell,
+    Absorber, ClusterCells, CrossSections, LEAST_PART, SPREAD, Seen, Sums, density_part, part_of_cell,
+    part_of_last_cell,
 };
 use crate::scene::{Camera, CloudObject};
-use rayset_base::geometry::{DMat3, DVec3, Ray, Shape};
+use rayset_base::geometry::{DMat3, DVec3, Ray, Shape, eigenvectors};
 use rayset_files::octree::Cloud;
 use rayset_files::octree::aggregates::{Aggregate, AggregatePage};
 use rayset_files::octree::layout::{NodeRef, RootCell};
@@ -45,9 +46,18 @@ struct File {
     nodes: Vec<Vec<Node>>,
     records: Vec<Aggregate>,
     points: Vec<SolidPoint>,
-    /// For each page and each run in it, its points.
-    runs: Vec<Vec<Range<usize>>>,
+    /// For each page and each run in it, its points, and the middle of the box around these.
+    runs: Vec<Vec<(Range<usize>, DVec3)>>,
     root: RootCell,
+}
+
+/// A point of a node: its number, the part of it that is seen by itself, and the cross-section of a
+/// unit of the mass around it.
+#[derive(Clone, Copy)]
+struct Left {
+    index: usize,
+    part: f64,
+    of_mass: f64,
 }
 
 /// What is seen of a cloud in a picture.
@@ -146,26 +156,20 @@ impl Far {
             pixel = Some(here);
         }
         let own = self.file.own_points(node);
+        let mut left: Vec<_> = own.clone().map(|index| Left { index, part: below, of_mass }).collect();
+        if let (0, Some(number), Some(pixel), true) = (node.child_mask, record, pixel, below > LEAST_PART) {
+            self.leaf((node, number), own, (below, pixel), &mut left);
+        }
         // A node does not stand for those that are larger.
         let edge = self.edge(node.level.into());
-        let larger = |far: &Self, index: usize| record.is_some() && far.file.points[index].radius > edge;
-        for index in own.clone() {
-            if larger(self, index) {
-                self.point(index, part, of_mass);
+        for point in &mut left {
+            if record.is_some() && self.file.points[point.index].radius > edge {
+                point.part = part;
             }
         }
+        self.points(node, &left);
         if below <= LEAST_PART {
             return;
-        }
-        match (node.child_mask, record, pixel) {
-            (0, Some(number), Some(pixel)) => self.leaf((node, number), own, (below, pixel), of_mass),
-            _ => {
-                for index in own {
-                    if !larger(self, index) {
-                        self.point(index, below, of_mass);
-                    }
-                }
-            }
         }
         let of_node = record.map(|number| self.file.records[number as usize]);
         let mut child_record = of_node.map_or(0, |record| record.first_child);
@@ -185,10 +189,8 @@ impl Far {
         (node, record): (&Node, u32),
         own: Range<usize>,
         (part, pixel): (f64, f64),
-        of_mass: f64,
+        points: &mut [Left],
     ) {
-        let mut parts = vec![part; own.len()];
-        let mut of_masses = vec![of_mass; own.len()];
         let mut cells = vec![record];
         let mut level = u32::from(node.level);
         let mut left = part;
@@ -211,39 +213,91 @@ impl Far {
                 let first = usize::from(first_point);
                 for at in first..=first + usize::from(more_points) {
                     if self.file.points[own.start + at].radius <= edge {
-                        parts[at] -= here;
-                        of_masses[at] = of_mass;
+                        points[at].part -= here;
+                        points[at].of_mass = of_mass;
                     }
                 }
             }
         }
-        for (at, index) in own.enumerate() {
-            if self.file.points[index].radius <= self.edge(node.level.into()) {
-                self.point(index, parts[at], of_masses[at]);
+    }
+
+    /// Adds the points of a node that are left: as densities, and the rest in clusters.
+    fn points(&mut self, node: &Node, left: &[Left]) {
+        for &Left { index, part, .. } in left {
+            let (point, part) = (self.file.points[index], part * self.density_part(index));
+            if part > LEAST_PART {
+                self.densities.push(SolidPoint { weight: point.weight * part, ..point });
             }
+        }
+        let first = left.first().map_or(0, |point| point.index);
+        for (run, center) in self.file.own_runs(node) {
+            let radii = self.file.points[run.clone()].iter().map(|point| point.radius);
+            let of_points = (radii.fold(f64::INFINITY, f64::min), self.object.kernel.variance());
+            let cells = ClusterCells::new(self.sight.pixel_at(center), of_points, self.file.root.size);
+            let rest = left[run.start - first..run.end - first].iter().filter_map(
+                |&Left { index, part, of_mass }| {
+                    let part = part * (1.0 - self.density_part(index));
+                    (part > LEAST_PART).then_some(Left { index, part, of_mass })
+                },
+            );
+            self.clusters(&rest.collect::<Vec<_>>(), cells);
         }
     }
 
-    /// Adds a point by a part; `of_mass` is the cross-section of a unit of the mass around it.
-    fn point(&mut self, index: usize, part: f64, of_mass: f64) {
+    fn density_part(&self, index: usize) -> f64 {
         let point = self.file.points[index];
-        let pixel = self.sight.pixel_at(point.position);
-        let as_density = density_part(point.radius, pixel);
-        if part * as_density > LEAST_PART {
-            self.densities.push(SolidPoint { weight: point.weight * part * as_density, ..point });
+        density_part(point.radius, self.sight.pixel_at(point.position))
+    }
+
+    /// Adds clusters of points that follow each other.
+    fn clusters(&mut self, points: &[Left], cells: ClusterCells) {
+        let place = |far: &Self, point: &Left, edge: f64| {
+            ((far.file.points[point.index].position - far.file.root.min) / edge).floor()
+        };
+        let same = |far: &Self, a: &Left, b: &Left, edge: f64| {
+            place(far, a, edge) == place(far, b, edge) && a.of_mass == b.of_mass
+        };
+        let mut found = Vec::new();
+        for whole in points.chunk_by(|a, b| same(self, a, b, 2.0 * cells.edge)) {
+            let all = self.moments(whole);
+            for part in whole.chunk_by(|a, b| same(self, a, b, cells.edge)) {
+                let own = self.moments(part);
+                let mixed = |own: f64, all: f64| own + cells.wider * (all - own);
+                let mass = mixed(own.mass, all.mass);
+                let covariance = own.covariance * (1.0 - cells.wider) + all.covariance * cells.wider;
+                let (variances, axes) = eigenvectors(&covariance);
+                let integral = self.object.kernel.integral();
+                let absorber = Absorber {
+                    center: all.middle + (own.middle - all.middle) * (1.0 - cells.wider).sqrt(),
+                    axes,
+                    variances: variances.max(DVec3::ZERO),
+                    mass: integral * mass,
+                    cross_section: part[0].of_mass * integral * mass,
+                };
+                found.push((absorber, own.seen / mass));
+            }
         }
-        let rest = part * (1.0 - as_density);
-        if rest > LEAST_PART {
-            let lengths = DVec3::new(1.0, point.shape.ratios[0], point.shape.ratios[1]) * point.radius;
-            let absorber = Absorber {
-                center: point.position,
-                axes: DMat3::from_quat(point.shape.rotation),
-                variances: lengths * lengths * self.object.kernel.variance(),
-                mass: self.object.kernel.integral() * point.mass(),
-                cross_section: of_mass * self.object.kernel.integral() * point.mass(),
-            };
-            self.see(&absorber, rest);
+        found.iter().for_each(|(absorber, part)| self.see(absorber, *part));
+    }
+
+    fn moments(&self, points: &[Left]) -> Moments {
+        let seen = |point: &Left| point.part * self.file.points[point.index].mass();
+        let sum: f64 = points.iter().map(seen).sum();
+        let squares: f64 = points.iter().map(|point| seen(point) * point.part).sum();
+        let place = |point: &Left| self.file.points[point.index].position;
+        let middle = points.iter().map(|point| place(point) * seen(point)).sum::<DVec3>() / sum;
+        let mut covariance = DMat3::ZERO;
+        for point in points {
+            let SolidPoint { radius, shape, .. } = self.file.points[point.index];
+            let axes = DMat3::from_quat(shape.rotation);
+            let lengths = DVec3::new(1.0, shape.ratios[0], shape.ratios[1]) * radius;
+            let own = DMat3::from_diagonal(lengths * lengths * self.object.kernel.variance());
+            let off = place(point) - middle;
+            let spread =
+                axes * own * axes.transpose() + DMat3::from_cols(off * off.x, off * off.y, off * off.z);
+            covariance += spread * (seen(point) / sum);
         }
+        Moments { seen: sum, middle, covariance, mass: sum * (sum / squares) }
     }
 
     /// The opacity along a ray.
@@ -334,6 +388,15 @@ impl Chord {
     }
 }
 
+/// What points are together.
+struct Moments {
+    /// Their mass by the parts that are seen of them, and that of which the mean part is.
+    seen: f64,
+    mass: f64,
+    middle: DVec3,
+    covariance: DMat3,
+}
+
 impl File {
     /// Reads everything; `None` if there are no aggregates.
     fn load(cloud: &Cloud, integral: f64, normalised: bool) -> Result<Option<Self>, ScanError> {
@@ -358,6 +421,7 @@ impl File {
                             .map(|run| {
                                 let (run, first) = (of_page.run(run), file.points.len());
                                 let n = run.head.len();
+                                let center = run.head.position_bounds(root).center();
                                 let mut radii = run.radii(header);
                                 let mut weights = run.weights(header);
                                 let mut shapes = run.shapes(header);
@@ -380,7 +444,7 @@ impl File {
                                     }
                                     file.points.push(SolidPoint { position, radius, weight, shape });
                                 }
-                                first..file.points.len()
+                                (first..file.points.len(), center)
                             })
                             .collect(),
                     );
@@ -403,17 +467,21 @@ impl File {
 
     /// The numbers of a node's own points.
     fn own_points(&self, node: &Node) -> Range<usize> {
+        let runs = self.own_runs(node);
+        runs.first().map_or(0, |(run, _)| run.start)..runs.last().map_or(0, |(run, _)| run.end)
+    }
+
+    /// A node's own runs.
+    fn own_runs(&self, node: &Node) -> Vec<(Range<usize>, DVec3)> {
         let (mut page, mut run) = (node.own.first_page as usize, usize::from(node.own.first_run));
-        let mut range = None::<Range<usize>>;
-        for _ in 0..node.own.runs {
+        let next = |_| {
             if run == self.runs[page].len() {
                 (page, run) = (page + 1, 0);
             }
-            let of_run = self.runs[page][run].clone();
-            range = Some(range.map_or(of_run.clone(), |range| range.start..of_run.end));
             run += 1;
-        }
-        range.unwrap_or(0..0)
+            self.runs[page][run - 1].clone()
+        };
+        (0..node.own.runs).map(next).collect()
     }
 }
 

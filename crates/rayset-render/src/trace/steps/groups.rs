@@ -47,6 +47,10 @@ pub(super) struct Group<'t> {
 }
 
 impl Group<'_> {
+    pub(super) fn largest_radius(&self) -> f64 {
+        self.points().map(|point| point.radius).fold(0.0, f64::max)
+    }
+
     pub(super) fn points(&self) -> impl Iterator<Item = GroupPoint> {
         let RunGroups { position: [x, y, z], radius, detail, .. } = self.run;
         self.numbers.clone().map(move |i| {

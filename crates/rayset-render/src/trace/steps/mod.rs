@@ -25,7 +25,7 @@ use super::program::{Action, Program};
 use super::{RenderError, SettingError};
 use crate::field::{Packet, SLAB_SAMPLES, Sight, Slab};
 use crate::scene::{FINEST_DETAIL, MOST_STEPS, MOST_STEPS_IN_SOLIDS, RenderSettings, Step, largest_stretch};
-use rayset_base::geometry::{Aabb, DVec3, Ray};
+use rayset_base::geometry::{Aabb, Ray};
 
 pub(super) use self::details::Details;
 
@@ -48,6 +48,9 @@ const GRID_DETAIL: f64 = 2.0;
 /// Where points are seen from afar, steps are a fraction of no less than this many pixels: what is
 /// seen is as wide as a pixel.
 const PIXEL_DETAIL: f64 = 1.6;
+/// Points with a radius of more pixels ask for steps by themselves: of smaller ones, more than a
+/// third is seen as Gaussians.
+const SHARP: f64 = 1.5;
 
 /// A sample within so many steps behind a boundary is lit at the boundary: it would otherwise
 /// shadow itself, to a degree that depends on how the lattice of samples happens to lie.
@@ -211,9 +214,10 @@ fn details_of(action: &Action, sight: Option<&Sight>) -> Option<(f64, f64)> {
             let stretch = cloud.local_from_world().map_or(1.0, largest_stretch);
             let points = (f64::from(cloud.details.0) / stretch, cloud.largest_detail_world());
             let Some(pixels) = PixelDetail::of(volume, sight) else { return Some(points) };
-            let (least, most) = pixels.range_in(&cloud.header().bounds);
+            let (bounds, radius) = (&cloud.header().bounds, pixels.radius_max);
+            let least = pixels.least_in(bounds, radius, cloud.details.0.into());
             // Of the same scale in all directions.
-            Some((points.0.max(least / stretch), points.1.max(most / stretch)))
+            Some((least / stretch, points.1.max(pixels.largest_in(bounds) / stretch)))
         }
         Action::Procedural(volume) => Some((volume.least_detail_world(), volume.largest_detail_world())),
         Action::Grid(volume) => {
@@ -244,6 +248,7 @@ struct PixelDetail<'a> {
     lod: &'a CloudLod,
     sight: Sight,
     radius_max: f64,
+    has_shapes: bool,
 }
 
 impl<'a> PixelDetail<'a> {
@@ -251,17 +256,20 @@ impl<'a> PixelDetail<'a> {
     fn of(volume: &'a CloudVolume, sight: Option<&Sight>) -> Option<Self> {
         let lod = volume.lod.as_deref()?;
         let sight = lod.sight(&volume.placement.local_sight(sight)?);
-        Some(Self { lod, sight, radius_max: volume.placement.header().radius.max().into() })
+        let header = volume.placement.header();
+        Some(Self { lod, sight, radius_max: header.radius.max().into(), has_shapes: header.shape.is_some() })
     }
 
-    /// The least and the largest anywhere in a box.
-    fn range_in(&self, bounds: &Aabb) -> (f64, f64) {
-        let (least, most) = (self.sight.least_pixel_in(bounds), self.sight.largest_pixel_in(bounds));
-        (PIXEL_DETAIL * least, PIXEL_DETAIL * most)
+    /// The least detail anywhere in a box, of points with these largest radius and least detail:
+    /// some of them are seen as they are where they are larger than a pixel, however thin.
+    fn least_in(&self, bounds: &Aabb, radius_max: f64, detail: f64) -> f64 {
+        let pixel = self.sight.least_pixel_in(bounds);
+        if self.has_shapes && radius_max > SHARP * pixel { detail } else { detail.max(PIXEL_DETAIL * pixel) }
     }
 
-    fn at(&self, place: DVec3) -> f64 {
-        PIXEL_DETAIL * self.sight.pixel_at(place)
+    /// The largest of pixels anywhere in a box.
+    fn largest_in(&self, bounds: &Aabb) -> f64 {
+        PIXEL_DETAIL * self.sight.largest_pixel_in(bounds)
     }
 
     /// A box of points as far as these reach.

@@ -233,14 +233,14 @@ impl Meeting<'_> {
     /// A detail of a node, or that of a pixel if it is seen from afar.
     fn least_detail(&self, node: &Node, detail: f64) -> f64 {
         let Some(pixels) = &self.pixels else { return detail };
-        pixels.range_in(&node.bounds(self.cloud.root_cell)).0.max(detail)
+        pixels.least_in(&node.bounds(self.cloud.root_cell), node.radius_max.into(), detail)
     }
 
     /// The largest detail of a node's points.
     fn largest_detail(&self, node: &Node) -> f64 {
         let detail = f64::from(node.detail_max);
         let Some(pixels) = &self.pixels else { return detail };
-        pixels.range_in(&node.bounds(self.cloud.root_cell)).1.max(detail)
+        pixels.largest_in(&node.bounds(self.cloud.root_cell)).max(detail)
     }
 
     /// Whether a node and all that is below it ask for about the same steps in a box that is hardly
@@ -333,8 +333,10 @@ impl Meeting<'_> {
             return;
         }
         let near = self.rays.clip(&bounds, near);
-        let of_pixels = self.pixels.map_or(0.0, |pixels| pixels.range_in(&bounds).0);
-        let least_detail = group.least_detail.max(of_pixels);
+        let least_detail = match &self.pixels {
+            Some(pixels) => pixels.least_in(&bounds, group.largest_radius(), group.least_detail),
+            None => group.least_detail,
+        };
         if self.is_scattered(&bounds, least_detail) {
             group.points().for_each(|point| self.add_point(point, &near, search));
         } else {
@@ -347,9 +349,10 @@ impl Meeting<'_> {
     fn add_point(&self, point: GroupPoint, group: &Clipped, search: &mut Search<'_>) {
         let GroupPoint { position, mut radius, mut detail } = point;
         if let Some(pixels) = &self.pixels {
-            let pixel = pixels.at(position);
             // A Gaussian as wide as a pixel is there, too.
-            (radius, detail) = (radius + 2.0 * pixel, detail.max(pixel));
+            let place = Aabb::new(position, position);
+            detail = pixels.least_in(&place, radius, detail);
+            radius += 2.0 * pixels.sight.pixel_at(position);
         }
         each_lane(group.lanes, |lane| {
             // The unit direction in local space, for the squared distance to the ray's line.
