@@ -6,6 +6,9 @@
 
 use super::footprints::dot;
 
+/// Differences of variances below this part of them may come from rounding.
+const ROUNDED: f32 = 1e-6;
+
 /// The axes, of length one and at right angles, and the variances along them, of a covariance
 /// (xx, yy, zz, xy, xz, yz): the shortest is the last.
 // Without branches: the compiler makes vectors of a loop over it.
@@ -16,7 +19,8 @@ pub(super) fn principal_axes(covariance: [f32; 6]) -> ([[f32; 3]; 3], [f32; 3]) 
     let (dx, dy, dz) = (xx - mean, yy - mean, zz - mean);
     let off = xy * xy + xz * xz + yz * yz;
     let spread = ((dx * dx + dy * dy + dz * dz + 2.0 * off) * (1.0 / 6.0)).sqrt();
-    let per_spread = 1.0 / spread.max(f32::MIN_POSITIVE);
+    // What is rounded has no axes.
+    let per_spread = if spread > ROUNDED * mean { 1.0 / spread } else { 0.0 };
     // Of what is left of the matrix, as long as one.
     let [bx, by, bz, cxy, cxz, cyz] = [dx, dy, dz, xy, xz, yz].map(|v| v * per_spread);
     let determinant =
@@ -43,11 +47,11 @@ pub(super) fn principal_axes(covariance: [f32; 6]) -> ([[f32; 3]; 3], [f32; 3]) 
     let (of_both, half) = (dot(u, times(w)), 0.5 * (of_u - of_w));
     let length = (half * half + of_both * of_both).sqrt();
     let (a, b) = if half >= 0.0 { (half + length, of_both) } else { (of_both, length - half) };
-    let per_length = 1.0 / (a * a + b * b).sqrt().max(f32::MIN_POSITIVE);
-    let (a, b) = if length > f32::MIN_POSITIVE { (a * per_length, b * per_length) } else { (1.0, 0.0) };
+    let per_length = 1.0 / (a * a + b * b).sqrt();
+    let middle = 0.5 * (of_u + of_w);
+    let (a, b) = if length > ROUNDED * middle { (a * per_length, b * per_length) } else { (1.0, 0.0) };
     let long = [0, 1, 2].map(|axis| a * u[axis] + b * w[axis]);
     let short = [0, 1, 2].map(|axis| a * w[axis] - b * u[axis]);
-    let middle = 0.5 * (of_u + of_w);
     let select = |of_long: [f32; 3], other: [f32; 3]| {
         [0, 1, 2].map(|axis| if is_long { of_long[axis] } else { other[axis] })
     };
@@ -93,7 +97,7 @@ mod tests {
         #[test]
         fn axes_and_variances_make_the_matrix_again(
             q in prop::array::uniform4(-1.0..1.0_f64),
-            (kind, exponents) in (0..5, prop::array::uniform3(-10.0..0.0_f64)),
+            (kind, exponents) in (0..5_usize, prop::array::uniform3(-10.0..0.0_f64)),
             scale in -20.0..20.0_f64,
         ) {
             prop_assume!(q.iter().any(|v| v.abs() > 0.1));
@@ -107,7 +111,8 @@ mod tests {
             let largest = variances.into_iter().fold(0.0, f64::max);
             let axes = axes.map(|axis| DVec3::from_array(axis.map(f64::from)));
             let found = found.map(f64::from);
-            prop_assert!(found[2] <= found[0].min(found[1]) + 1e-6 * largest);
+            // Those of a ball are equal but for what is rounded.
+            prop_assert!(found[2] <= found[0].min(found[1]) + 1e-5 * largest);
             let again = (0..3).fold(DMat3::ZERO, |sum, k| {
                 let axis = axes[k];
                 sum + DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z) * found[k]
