@@ -1,6 +1,7 @@
 //! `rayset lod`
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
@@ -10,7 +11,8 @@ use rayset::scene::Kernel;
 use rayset::{CancelToken, Cloud};
 
 use crate::budget::Budget;
-use rayset_inputs::{Built, values};
+use rayset_inputs::style::Style;
+use rayset_inputs::{Built, look, values};
 use rayset_terminal::memory::peak_rss;
 use rayset_terminal::outputs::Outputs;
 use rayset_terminal::progress::Meter;
@@ -27,9 +29,9 @@ pub(crate) struct LodArgs {
     /// Cloud file to write; the same by default
     #[arg(short, long)]
     output: Option<PathBuf>,
-    /// Kernel of the densities
-    #[arg(long, default_value = "wyvill")]
-    kernel: Kernel,
+    /// Kernel of the densities; with --normalised, as the cloud's look has it by default
+    #[arg(long)]
+    kernel: Option<Kernel>,
     /// Divide weights by what their kernels integrate to
     #[arg(long)]
     normalised: bool,
@@ -60,16 +62,20 @@ struct Summary {
 
 pub(crate) fn run(args: &LodArgs) -> Result<()> {
     let output = args.output.as_deref().unwrap_or(&args.cloud);
-    let Built::Cloud(_) = rayset_inputs::open_built(&args.cloud)? else {
+    let Built::Cloud(cloud) = rayset_inputs::open_built(&args.cloud)? else {
         bail!("{} is a grid; only clouds have aggregates", args.cloud.display());
+    };
+    let (kernel, normalised) = match args.kernel {
+        None if !args.normalised => shown_by_default(cloud)?,
+        kernel => (kernel.unwrap_or_default(), args.normalised),
     };
     Outputs::beside::<PathBuf>([]).add(output, args.temp_dir.as_deref())?.require_file()?;
     let budget = Budget::of(args.memory, [args.cloud.as_path(), output]);
     let defaults = AggregateOptions::default();
     let threads = args.threads.unwrap_or(defaults.threads);
     let options = defaults
-        .with_kernel(args.kernel)
-        .with_normalised(args.normalised)
+        .with_kernel(kernel)
+        .with_normalised(normalised)
         .with_memory_bytes(budget.left())
         .with_threads(threads)
         .with_temp_dir(args.temp_dir.clone());
@@ -93,6 +99,14 @@ pub(crate) fn run(args: &LodArgs) -> Result<()> {
     present(output, &made, seconds, args.json)
 }
 
+/// The kernel by which a cloud is shown if nothing is said, and whether it is normalised.
+fn shown_by_default(cloud: impl Into<Arc<Cloud>>) -> Result<(Kernel, bool)> {
+    let chosen = look::of_cloud(&cloud.into(), &Style::default(), (64, 64))?;
+    let root = &chosen.scene["root"];
+    let kernel = root["kernel"].as_str().map_or(Ok(Kernel::default()), str::parse)?;
+    Ok((kernel, root["normalised"].as_bool().unwrap_or(false)))
+}
+
 fn present(output: &Path, made: &build::AggregateHeader, seconds: f64, json: bool) -> Result<()> {
     let header = Cloud::open(output)?.header().clone();
     let bytes = u64::from(made.pages) * u64::from(header.page_bytes);
@@ -108,12 +122,14 @@ fn present(output: &Path, made: &build::AggregateHeader, seconds: f64, json: boo
         return report::json(&summary);
     }
     report::say(format_args!(
-        "{}: {} aggregates of {} points, {} ({:.1} % of the file)",
+        "{}: {} aggregates of {} points, {} ({:.1} % of the file), for the kernel {}{}",
         output.display(),
         report::count(summary.aggregates.into()),
         report::count(header.points),
         report::bytes(bytes),
-        100.0 * bytes as f64 / header.file_bytes as f64
+        100.0 * bytes as f64 / header.file_bytes as f64,
+        made.kernel,
+        if made.normalised { ", normalised" } else { "" }
     ));
     let peak =
         summary.peak_rss_bytes.map_or_else(String::new, |b| format!(", peak memory {}", report::bytes(b)));

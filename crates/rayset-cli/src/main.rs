@@ -57,8 +57,6 @@ enum Command {
     /// wants
     Info(info::InfoArgs),
     /// Add to a cloud file what stands for its points from afar
-    // Not shown, as long as no picture is made of it.
-    #[command(hide = true)]
     Lod(lod::LodArgs),
     /// Check a cloud file
     Verify(verify::VerifyArgs),

@@ -4,7 +4,7 @@ use anyhow::{Result, bail, ensure};
 use clap::Args;
 use rayset::Region;
 use rayset::image::DisplayTransform;
-use rayset::scene::{Lod, RenderSettings};
+use rayset::scene::RenderSettings;
 
 use rayset_inputs::style::Style;
 use rayset_inputs::values;
@@ -18,21 +18,6 @@ pub(crate) struct PictureArgs {
     /// Only a part of the picture: left,top,width,height
     #[arg(long, value_delimiter = ',')]
     crop: Option<Vec<u32>>,
-    /// What is seen of points from afar: off (every point), auto, or how wide pixels are taken to
-    /// be
-    #[arg(long, value_parser = level_of_detail, hide = true)]
-    lod: Option<Lod>,
-}
-
-fn level_of_detail(text: &str) -> Result<Lod, String> {
-    match text {
-        "off" => Ok(Lod::Off),
-        "auto" => Ok(Lod::AUTO),
-        number => match number.parse() {
-            Ok(factor) if (1.0 / 16.0..=64.0).contains(&factor) => Ok(Lod::Footprint(factor)),
-            _ => Err("expected off, auto or a number from 0.0625 to 64".into()),
-        },
-    }
 }
 
 impl PictureArgs {
@@ -52,7 +37,7 @@ impl PictureArgs {
         if let Some((width, height)) = self.size {
             (settings.width, settings.height) = (width, height);
         }
-        settings.lod = self.lod.unwrap_or(settings.lod);
+        settings.lod = style.lod.unwrap_or(settings.lod);
         settings.samples = style.samples.unwrap_or(settings.samples);
         display_transform.exposure = style.exposure.unwrap_or(display_transform.exposure);
         settings.samples = settings.samples.shown_with(display_transform.exposure);

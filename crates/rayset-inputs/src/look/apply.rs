@@ -5,7 +5,7 @@ use rayset::scene::{Kernel, NamedPalette, OpacityRule};
 use serde_json::{Value, json};
 
 use super::ranges::over_logarithm;
-use crate::style::kinds::{Kind, Rays};
+use crate::style::kinds::{Detail, Kind, Rays};
 use crate::style::{Background, Compositing, Phase, Shading, StepLength, Style, ValueRange};
 use crate::values;
 
@@ -51,6 +51,9 @@ impl Style {
     pub(super) fn apply_image(&self, scene: &mut Value, automatic: f64) {
         if let Some(samples) = self.samples {
             scene["image"]["samples"] = Rays.json(&samples);
+        }
+        if let Some(lod) = self.lod {
+            scene["rendering"]["lod"] = Detail.json(&lod);
         }
         expose(scene, self.exposure.unwrap_or(automatic));
     }

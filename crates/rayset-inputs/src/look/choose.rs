@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use rayset::file::Header;
 use rayset::geometry::DVec3;
-use rayset::scene::{Kernel, SplatFilter};
+use rayset::scene::{Kernel, Lod, SplatFilter};
 use rayset::{Cloud, Grid};
 use serde_json::{Value, json};
 
@@ -228,6 +228,10 @@ fn of_sampled_cloud(
         style.color_by = Some(chosen.vertical().to_owned());
     }
     style.apply(&mut scene, &input)?;
+    let from_afar = match chosen.name {
+        LookName::Gas => see_from_afar(cloud, &style, &mut scene),
+        _ => "",
+    };
     style.apply_image(&mut scene, chosen.exposure);
     let enlarged = enlarged.map_or_else(String::new, |scale| {
         format!("; few points far apart: --radius-scale {scale}, so that they are seen")
@@ -249,7 +253,7 @@ fn of_sampled_cloud(
     let middle = points.iter().fold(DVec3::ZERO, |sum, (p, _)| sum + *p) / points.len().max(1) as f64;
     Ok(Chosen {
         scene,
-        line: chosen.line() + &enlarged + &apart + &oblique + twice,
+        line: chosen.line() + &enlarged + &apart + &oblique + twice + from_afar,
         middle: (!points.is_empty()).then_some(middle),
         look: chosen.name.name(),
         up: chosen.orientation.reason_and_up(),
@@ -339,6 +343,30 @@ fn of_sampled_grid(
         },
     })
 }
+
+/// Lets a cloud of gas be seen from afar, if its aggregates are for its kernel: one ray of a pixel
+/// then sees all of it. Returns what is to be said.
+fn see_from_afar(cloud: &Cloud, style: &Style, scene: &mut Value) -> &'static str {
+    let (header, root) = (cloud.header(), &scene["root"]);
+    let Some(aggregates) = &header.aggregates else {
+        return if style.lod.is_none() { NO_AGGREGATES } else { "" };
+    };
+    let kernel = root["kernel"].as_str().map_or(Some(Kernel::default()), |name| name.parse().ok());
+    let is_right = kernel == Some(aggregates.kernel)
+        && root["normalised"].as_bool().unwrap_or(false) == aggregates.normalised
+        && header.radius_scale == 1.0
+        && root["radiusScale"].is_null()
+        && header.weight.min() >= 0.0;
+    if !is_right || style.lod == Some(Lod::Off) {
+        return "";
+    }
+    scene["rendering"]["lod"] = json!("auto");
+    scene["image"]["samples"] = json!(1);
+    "; small points are seen together (--lod off: each by itself)"
+}
+
+/// What is said of gas that could be seen from afar.
+const NO_AGGREGATES: &str = "; every point is looked at: `rayset lod FILE` adds to a cloud file what makes pictures like this in a part of the time";
 
 fn stance(orientation: &Orientation, points: &[(DVec3, f64)]) -> Stance {
     let framed = reach(points);

@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::str::FromStr;
 
 use rayset::ParseError;
-use rayset::scene::{FARTHEST, OpacityRule, SHORTEST, Samples};
+use rayset::scene::{FARTHEST, Lod, OpacityRule, SHORTEST, Samples};
 use serde_json::{Value, json};
 
 use super::values::{Background, Choice, Flag, Rgb, StepLength, ValueRange, Words};
@@ -200,6 +200,39 @@ impl Kind<Samples> for Rays {
         match value {
             Samples::Fixed(number) => json!(number),
             _ => json!("auto"),
+        }
+    }
+}
+
+/// Level of detail: `off`, `auto`, or a factor on the width of pixels.
+pub(crate) struct Detail;
+
+impl Kind<Lod> for Detail {
+    fn parse(&self, text: &str) -> Result<Lod, String> {
+        let known = match text.trim() {
+            "off" => Some(Lod::Off),
+            "auto" => Some(Lod::AUTO),
+            number => number.parse().ok().and_then(Lod::footprint),
+        };
+        known.ok_or_else(|| format!("`{text}` is not off, auto or a number from 0.0625 to 64"))
+    }
+
+    fn text(&self, value: &Lod) -> String {
+        match value {
+            Lod::Footprint(factor) if *value != Lod::AUTO => factor.to_string(),
+            Lod::Footprint(_) => "auto".to_owned(),
+            _ => "off".to_owned(),
+        }
+    }
+
+    fn read(&self, json: &Value) -> Result<Lod, String> {
+        self.parse(&number_text(json)?)
+    }
+
+    fn json(&self, value: &Lod) -> Value {
+        match value {
+            Lod::Footprint(factor) if *value != Lod::AUTO => json!(factor),
+            _ => json!(self.text(value)),
         }
     }
 }

@@ -1,9 +1,10 @@
 //! The table of a style's options. Each option is defined here and nowhere else.
 
-use rayset::scene::{Kernel, NamedPalette, OpacityRule, Samples, SplatFilter};
+use rayset::scene::{Kernel, Lod, NamedPalette, OpacityRule, Samples, SplatFilter};
 
 use super::kinds::{
-    Behind, Color, Kind, LENGTH, Named, Number, Opacity, Range, Rays, Step, Switch, Text, Vector, Word,
+    Behind, Color, Detail, Kind, LENGTH, Named, Number, Opacity, Range, Rays, Step, Switch, Text, Vector,
+    Word,
 };
 use super::option::{OptionOf, Options, options};
 use super::values::{
@@ -27,6 +28,9 @@ options! {
         samples: Samples = Rays;
         /// Exposure in stops, -32 to 32: light is multiplied by two to this power
         exposure: f64 = Number(-32.0, 32.0);
+        /// Level of detail, of clouds with aggregates: off (every point is seen), auto, or how
+        /// many times as wide pixels are taken to be, 0.0625 to 64. auto of gas, off otherwise
+        lod: Lod = Detail;
     }
     Look {
         /// Look; chosen from the data by default, and said

@@ -7,6 +7,7 @@ use super::*;
 const TYPED: &[(&str, &str)] = &[
     ("samples", "3"),
     ("exposure", "-1.5"),
+    ("lod", "0.5"),
     ("look", "gas"),
     ("kernel", "cubic-spline"),
     ("splat-filter", "mip"),

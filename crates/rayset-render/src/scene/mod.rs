@@ -296,6 +296,15 @@ pub enum Lod {
 impl Lod {
     /// Cells as wide as a pixel.
     pub const AUTO: Self = Self::Footprint(1.0);
+    /// The least and the largest factor.
+    pub const FACTORS: (f32, f32) = (1.0 / 16.0, 64.0);
+
+    /// Pixels taken to be so many times as wide; `None` if the factor is out of range.
+    #[must_use]
+    pub fn footprint(factor: f64) -> Option<Self> {
+        let (least, most) = Self::FACTORS;
+        (f64::from(least)..=f64::from(most)).contains(&factor).then_some(Self::Footprint(factor as f32))
+    }
 }
 
 /// The settings that determine pixels, besides the scene and the camera.

@@ -4,8 +4,8 @@ use super::error::SceneFileError;
 use super::reader::{Cursor, Object};
 use crate::image::{DisplayTransform, ToneMapping};
 use crate::scene::{
-    Camera, CameraPath, Compositing, Projection, RenderSettings, SHORTEST, SampleOffset, Samples, Sampling,
-    Shadows, Step,
+    Camera, CameraPath, Compositing, Lod, Projection, RenderSettings, SHORTEST, SampleOffset, Samples,
+    Sampling, Shadows, Step,
 };
 use rayset_base::geometry::{Aabb, DVec3};
 
@@ -54,6 +54,7 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
             "maxDepth",
             "ambientOcclusion",
             "capResolution",
+            "lod",
         ];
         let rendering = at.object(&known)?;
         settings.step = step(&rendering)?;
@@ -65,6 +66,7 @@ pub(super) fn settings(file: &Object<'_>) -> Result<(RenderSettings, DisplayTran
         settings.max_depth = rendering.read_or("maxDepth", settings.max_depth, |at| at.whole(0, 16))?;
         let occlusion = rendering.read_or("ambientOcclusion", 0.0, |at| at.number(0.0, 4.0))?;
         settings.ambient_occlusion = occlusion as f32;
+        settings.lod = rendering.read_or("lod", settings.lod, lod)?;
         settings.cap_resolution =
             rendering.read_or("capResolution", settings.cap_resolution, |at| at.whole(8, 1024))?;
         let resolution =
@@ -83,6 +85,17 @@ fn samples(at: &Cursor<'_>) -> Result<Samples, SceneFileError> {
         Some(_) => Err(at.expected("a whole number from 1 to 64 or \"auto\"")),
         None => at.whole(1, 64).map(Samples::Fixed),
     }
+}
+
+/// How points are seen from afar.
+fn lod(at: &Cursor<'_>) -> Result<Lod, SceneFileError> {
+    let known = match at.value.as_str() {
+        Some("off") => Some(Lod::Off),
+        Some("auto") => Some(Lod::AUTO),
+        Some(_) => None,
+        None => at.number(0.0, f64::MAX).ok().and_then(Lod::footprint),
+    };
+    known.ok_or_else(|| at.expected("\"off\", \"auto\" or a number from 0.0625 to 64"))
 }
 
 fn step(rendering: &Object<'_>) -> Result<Step, SceneFileError> {

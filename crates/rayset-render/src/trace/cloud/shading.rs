@@ -275,7 +275,7 @@ impl CloudShading {
 
     /// Fills the colours of a lane. Those that are mapped are left out behind the optical depth
     /// `end`.
-    fn fill_color(
+    pub(super) fn fill_color(
         &self,
         field: &FieldSamples,
         lane: usize,

@@ -38,14 +38,13 @@ impl CloudShading {
     ) {
         self.transfer(near, (measure, required, simd), None, out);
         let both = near.touched & spread.touched;
-        let beside: Vec<(usize, DensityLane)> = (0..LANES)
+        let mut beside: Vec<(usize, DensityLane)> = (0..LANES)
             .filter(|lane| both >> lane & 1 == 1)
             .map(|lane| (lane, DensityLane::of(out, (lane, required))))
             .collect();
-        let depths = self.beside_spread(lod, (near, spread), both, simd, out);
+        self.beside_spread(lod, (near, spread), (required, simd), (&mut beside, out));
         each_lane(spread.touched, |lane| self.fill_spread(lod, spread, (lane, required, simd), out));
-        for ((lane, mut beside), depth) in beside.into_iter().zip(depths) {
-            beside.depth = depth;
+        for (lane, beside) in beside {
             beside.join(out, (lane, measure, required));
         }
         let alone = spread.touched & !both;
@@ -55,32 +54,37 @@ impl CloudShading {
         out.touched = near.touched | spread.touched;
     }
 
-    /// What densities absorb beside what is seen from afar, which adds to the density that they are
-    /// in: of g at both together, by their part of it. As optical depths, of some lanes.
+    /// What densities absorb, as optical depths, beside what is seen from afar, which adds to the
+    /// density that they are in: of g at both together, by their part of it. Colours that follow
+    /// from densities are those of both, too.
     fn beside_spread(
         &self,
         lod: &CloudLod,
         (near, spread): (&mut FieldSamples, &FieldSamples),
-        lanes: u64,
-        simd: SimdLevel,
-        out: &mut NodeSamples,
-    ) -> Vec<SampleRow> {
+        (required, simd): (RequiredOutputs, SimdLevel),
+        (beside, out): (&mut [(usize, DensityLane)], &mut NodeSamples),
+    ) {
         let channel = lod.decoder.channel(FarChannel::Density);
-        let lanes_of = || (0..LANES).filter(move |lane| lanes >> lane & 1 == 1);
-        let own: Vec<SampleRow> = lanes_of().map(|lane| near.density[lane]).collect();
-        for lane in lanes_of() {
-            let more = &spread.attribute[channel][lane].0;
-            near.density[lane].0.iter_mut().zip(more).for_each(|(d, more)| *d += more);
+        let own: Vec<SampleRow> = beside.iter().map(|(lane, _)| near.density[*lane]).collect();
+        let mut lanes = 0;
+        for (lane, _) in &*beside {
+            lanes |= 1 << lane;
+            let more = &spread.attribute[channel][*lane].0;
+            near.density[*lane].0.iter_mut().zip(more).for_each(|(d, more)| *d += more);
         }
         let touched = std::mem::replace(&mut near.touched, lanes);
         self.fill_opacity(near, Measure::OpticalDepth, simd, out);
         near.touched = touched;
-        let depths = lanes_of().zip(own).map(|(lane, own)| {
-            let (depth, all) = (&out.opacity[lane].0, &near.density[lane].0);
-            let of = |j: usize| if own.0[j] > 0.0 { depth[j] * (own.0[j] / all[j]) } else { 0.0 };
-            SampleRow(std::array::from_fn(of))
-        });
-        depths.collect()
+        let is_recolored = required.color && matches!(self.color, Color::Map { carried: None, .. });
+        for ((lane, of), own) in beside.iter_mut().zip(own) {
+            let (depth, all) = (&out.opacity[*lane].0, &near.density[*lane].0);
+            let part = |j: usize| if own.0[j] > 0.0 { depth[j] * (own.0[j] / all[j]) } else { 0.0 };
+            of.depth = SampleRow(std::array::from_fn(part));
+            if is_recolored {
+                self.fill_color(near, *lane, None, simd, out);
+                of.color = out.color.each_ref().map(|rows| rows[*lane]);
+            }
+        }
     }
 
     /// Fills a lane with what is seen from afar; opacities are optical depths.

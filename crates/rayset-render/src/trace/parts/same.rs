@@ -6,7 +6,7 @@ use std::fmt::{self, Write as _};
 use serde::{Deserialize, Serialize};
 
 use crate::field::SimdLevel;
-use crate::scene::{Node, Scene, Shape};
+use crate::scene::{Lod, Node, Scene, Shape};
 use crate::trace::View;
 use rayset_store::container::{Identity, StreamHash};
 
@@ -40,7 +40,7 @@ impl Same {
         Self {
             program: format!("rayset {}", env!("CARGO_PKG_VERSION")),
             build: build.to_owned(),
-            files: files(scene),
+            files: files(scene, view.settings.lod),
             scene: scene_identity(scene),
             settings: format!("{:?}", view.settings),
             view: format!("{:?}", view.rays),
@@ -125,10 +125,17 @@ fn identity_of(what: &str, fill: impl FnOnce(&mut StreamHash)) -> Identity {
 }
 
 /// The files of a scene by their identities, wherever they lie.
-fn files(scene: &Scene) -> String {
+fn files(scene: &Scene, lod: Lod) -> String {
     let mut found: Vec<Identity> = Vec::new();
     scene.root.for_each(&mut |node| match &node.shape {
-        Shape::Cloud(object) => found.push(object.cloud.header().identity),
+        Shape::Cloud(object) => {
+            let header = object.cloud.header();
+            found.push(header.identity);
+            // The same points may have other aggregates.
+            if let Some(aggregates) = header.aggregates.as_ref().filter(|_| lod != Lod::Off) {
+                found.push(identity_of("aggregates", |hash| hash.update(&aggregates.encode())));
+            }
+        }
         Shape::Grid(object) => found.push(object.grid.header().identity),
         Shape::Procedural(_) | Shape::Operator(..) => {}
     });
