@@ -1,7 +1,6 @@
 //! `rayset lod`
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
@@ -66,7 +65,7 @@ pub(crate) fn run(args: &LodArgs) -> Result<()> {
         bail!("{} is a grid; only clouds have aggregates", args.cloud.display());
     };
     let (kernel, normalised) = match args.kernel {
-        None if !args.normalised => shown_by_default(cloud)?,
+        None if !args.normalised => look::of_cloud(&cloud, &Style::default(), (64, 64))?.kernel(),
         kernel => (kernel.unwrap_or_default(), args.normalised),
     };
     Outputs::beside::<PathBuf>([]).add(output, args.temp_dir.as_deref())?.require_file()?;
@@ -97,14 +96,6 @@ pub(crate) fn run(args: &LodArgs) -> Result<()> {
     })?;
     let seconds = started.elapsed().as_secs_f64();
     present(output, &made, seconds, args.json)
-}
-
-/// The kernel by which a cloud is shown if nothing is said, and whether it is normalised.
-fn shown_by_default(cloud: impl Into<Arc<Cloud>>) -> Result<(Kernel, bool)> {
-    let chosen = look::of_cloud(&cloud.into(), &Style::default(), (64, 64))?;
-    let root = &chosen.scene["root"];
-    let kernel = root["kernel"].as_str().map_or(Ok(Kernel::default()), str::parse)?;
-    Ok((kernel, root["normalised"].as_bool().unwrap_or(false)))
 }
 
 fn present(output: &Path, made: &build::AggregateHeader, seconds: f64, json: bool) -> Result<()> {

@@ -7,7 +7,8 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use rayset::build::{
-    self, BuildControl, BuildError, BuildOptions, GridBuildError, GridBuildOptions, Progress,
+    self, AggregateError, AggregateOptions, BuildControl, BuildError, BuildOptions, GridBuildError,
+    GridBuildOptions, Progress, Stage,
 };
 use rayset::output::OutputError;
 use rayset::points::ReadError;
@@ -22,7 +23,9 @@ use super::kinds::{self, Built};
 use super::magnitude;
 use super::sources::{Points, has_volume, open_points, remark_about};
 use crate::host::{Host, Remembering, Reported};
+use crate::look;
 use crate::speed::with_speeds;
+use crate::style::{LookName, Style};
 use crate::text;
 
 /// What an input is.
@@ -183,7 +186,14 @@ fn no_room(error: &anyhow::Error) -> bool {
         GridBuildError::Output(error) => of_output(error),
         _ => None,
     };
-    let kind = error.downcast_ref().and_then(of_build).or_else(|| error.downcast_ref().and_then(of_grid));
+    let of_aggregates = |error: &AggregateError| match error {
+        AggregateError::Io { source, .. } => Some(source.kind()),
+        AggregateError::Output(error) => of_output(error),
+        _ => None,
+    };
+    let kind = (error.downcast_ref().and_then(of_build))
+        .or_else(|| error.downcast_ref().and_then(of_grid))
+        .or_else(|| error.downcast_ref().and_then(of_aggregates));
     matches!(
         kind,
         Some(
@@ -200,6 +210,9 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
     files.push(built.to_owned());
     files
 }
+
+/// Of so many points and more, gas is seen from afar.
+const SEEN_FROM_AFAR: u64 = 200_000;
 
 /// Files that inputs pull in by themselves.
 #[derive(Default)]
@@ -286,7 +299,34 @@ impl Work<'_> {
         if skipped > 0 {
             self.said.remark(&format!("skipped {} invalid records", text::count(skipped)));
         }
+        if done.points >= SEEN_FROM_AFAR {
+            self.aggregate_gas(output, (memory, threads))?;
+        }
         Ok(pulled_in)
+    }
+
+    /// Adds aggregates to a cloud that is shown as gas: each ray goes through all of it, and most
+    /// of the time of its pictures would go into points that are small beside a pixel.
+    fn aggregate_gas(&self, output: &Path, (memory, threads): (u64, usize)) -> Result<()> {
+        let cloud = Arc::new(Cloud::open(output)?);
+        let chosen = look::of_cloud(&cloud, &Style::default(), (64, 64))?;
+        if chosen.look != LookName::Gas.name() || cloud.header().weight.min() < 0.0 {
+            return Ok(());
+        }
+        let (kernel, normalised) = chosen.kernel();
+        let options = AggregateOptions::default()
+            .with_kernel(kernel)
+            .with_normalised(normalised)
+            .with_memory_bytes(memory)
+            .with_threads(threads);
+        let host = self.resources.host;
+        let reported = Reported { host, unit: "points" };
+        let progress = |done, total| reported.update(Stage::Aggregate, done, total);
+        drop(cloud);
+        match build::add_aggregates(output, output, &options, &progress, &host.cancel()) {
+            Err(AggregateError::Memory { given, needed }) => Err(BuildError::Memory { given, needed }.into()),
+            made => made.map(drop).map_err(Into::into),
+        }
     }
 
     /// Builds a grid; once more with its values multiplied, if scenes cannot hold them as they are.

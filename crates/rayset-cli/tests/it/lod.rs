@@ -2,6 +2,7 @@
 //! keeps to its memory.
 
 use std::fs;
+use std::path::Path;
 
 use crate::common::{folder, names, run, succeeds};
 
@@ -45,4 +46,107 @@ fn what_is_no_cloud_is_refused_by_name() {
         let said = String::from_utf8_lossy(&refused.stderr).into_owned();
         assert!(!refused.status.success() && said.contains(file), "{said}");
     }
+}
+
+/// What a command says that fails.
+fn fails(folder: &Path, arguments: &[&str]) -> String {
+    let done = run(folder, arguments);
+    assert!(!done.status.success(), "{arguments:?}");
+    String::from_utf8_lossy(&done.stderr).into_owned()
+}
+
+/// A file of points that fill a volume.
+fn with_gas(f: &Path, points: &str) {
+    succeeds(f, &["generate", points, "-o", "p.ply"]);
+    succeeds(f, &["build", "p.ply", "-o", "c.rset"]);
+}
+
+#[test]
+fn gas_with_aggregates_is_seen_from_afar_by_one_ray_and_it_is_said() {
+    let folder = folder();
+    let f = folder.path();
+    with_gas(f, "cube-20k");
+    let render = |options: &[&str]| {
+        let plain = [
+            "render",
+            "c.rset",
+            "--look",
+            "gas",
+            "--size",
+            "32x24",
+            "-o",
+            "p.png",
+            "--write-scene",
+            "s.json",
+        ];
+        let done = run(f, &[&plain, options].concat());
+        assert!(done.status.success(), "{done:?}");
+        let scene = fs::read_to_string(f.join("s.json")).expect("a scene");
+        let scene: serde_json::Value = serde_json::from_str(&scene).expect("JSON");
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        (fs::read(f.join("p.png")).expect("a picture"), scene, said)
+    };
+    let (whole, scene, said) = render(&[]);
+    assert!(said.contains("rayset lod FILE") && scene["rendering"]["lod"].is_null(), "{said}");
+    succeeds(f, &["lod", "c.rset"]);
+    let (from_afar, scene, said) = render(&[]);
+    assert!(said.contains("small points are seen together"), "{said}");
+    assert_eq!((&scene["rendering"]["lod"], &scene["image"]["samples"]), (&"auto".into(), &1.into()));
+    assert_ne!(from_afar, whole);
+    succeeds(f, &["render", "s.json", "-o", "again.png"]);
+    assert_eq!(fs::read(f.join("again.png")).expect("a picture"), from_afar, "the written scene");
+    let (off, scene, said) = render(&["--lod", "off"]);
+    assert_eq!((off, &scene["rendering"]["lod"]), (whole, &"off".into()), "{said}");
+    succeeds(f, &["render", "s.json", "--lod", "auto", "--samples", "1", "-o", "again.png"]);
+    assert_eq!(fs::read(f.join("again.png")).expect("a picture"), from_afar, "a scene, otherwise");
+    let (wider, scene, _) = render(&["--lod", "3"]);
+    assert_eq!(scene["rendering"]["lod"], 3.0);
+    assert_ne!(wider, from_afar);
+    // Aggregates of another kernel are of no use.
+    let (_, scene, _) = render(&["--kernel", "chen"]);
+    assert!(scene["rendering"]["lod"].is_null() && scene["image"]["samples"] == "auto");
+}
+
+#[test]
+fn what_is_no_level_of_detail_is_refused_with_what_is() {
+    let folder = folder();
+    let f = folder.path();
+    with_gas(f, "cube-1k");
+    for value in ["on", "0", "65", "nan"] {
+        let said = fails(f, &["render", "c.rset", "--lod", value, "-o", "p.png"]);
+        assert!(said.contains("off, auto or a number from 0.0625 to 64"), "{said}");
+    }
+    let scene = r#"{"rayset": 1, "rendering": {"lod": "on"}, "root": {"type": "cloud", "file": "c.rset"}}"#;
+    fs::write(f.join("s.json"), scene).expect("a write");
+    let said = fails(f, &["check", "s.json"]);
+    assert!(said.contains("rendering.lod") && said.contains("0.0625"), "{said}");
+}
+
+#[test]
+fn parts_seen_from_afar_by_other_aggregates_are_refused() {
+    let folder = folder();
+    let f = folder.path();
+    with_gas(f, "cube-2k");
+    let part = |number: &str, name: &str| {
+        let plain = ["render", "c.rset", "--size", "16x16", "--lod", "auto"];
+        succeeds(f, &[&plain[..], &["--part", number, "-o", name]].concat());
+    };
+    succeeds(f, &["lod", "c.rset"]);
+    part("1/2", "1.part");
+    succeeds(f, &["lod", "c.rset", "--kernel", "chen"]);
+    part("2/2", "2.part");
+    let said = fails(f, &["merge", "1.part", "2.part", "-o", "p.png"]);
+    assert!(said.contains("clouds and grids"), "{said}");
+}
+
+#[test]
+fn what_is_built_of_gas_to_be_shown_has_aggregates() {
+    let folder = folder();
+    let f = folder.path();
+    succeeds(f, &["generate", "cube-200k", "-o", "p.ply"]);
+    let render =
+        ["render", "p.ply", "--look", "gas", "--size", "8x8", "-o", "p.png", "--write-scene", "s.json"];
+    succeeds(f, &[&render[..], &["--cache", "kept"]].concat());
+    let scene = fs::read_to_string(f.join("s.json")).expect("a scene");
+    assert!(scene.contains(r#""lod": "auto""#), "{scene}");
 }

@@ -181,7 +181,7 @@ fn temporary(name: &Name, host: &dyn Host) -> Result<BuildTarget> {
 
 /// Raised when what is built of the same input changes within a version of the program: entries of
 /// before are not used.
-const GENERATION: u32 = 13;
+const GENERATION: u32 = 14;
 
 /// The user's own folder for caches.
 fn user_folder() -> Result<PathBuf> {

@@ -44,6 +44,16 @@ pub struct Chosen {
     pub densities: Densities,
 }
 
+impl Chosen {
+    /// The kernel by which a cloud is shown, and whether it is normalised.
+    #[must_use]
+    pub fn kernel(&self) -> (Kernel, bool) {
+        let root = &self.scene["root"];
+        let kernel = root["kernel"].as_str().and_then(|name| name.parse().ok());
+        (kernel.unwrap_or_default(), root["normalised"].as_bool().unwrap_or(false))
+    }
+}
+
 /// How an input stands in its coordinates.
 #[derive(Clone, Debug)]
 pub struct Stance {

@@ -144,7 +144,7 @@ fn everything_that_the_schema_names_is_read() {
             {"type": "directional", "direction": [0, -1, 0], "shadow": false},
             {"type": "point", "position": [1, 2, 3], "decay": false, "shadow": true}],
         "rendering": {"step": 0.01, "stepFraction": 0.5, "phase": "hashed", "stopTransmittance": 0.05, "unitDistance": 0.1,
-            "shadows": "exact", "shadowResolution": 64, "maxDepth": 2},
+            "shadows": "exact", "shadowResolution": 64, "maxDepth": 2, "lod": 0.5},
         "animation": {"keys": [{"frame": 0, "camera": {"position": [0, 0, 5], "lookAt": [0, 0, 0], "fovy": 30}},
             {"frame": 9, "camera": {"position": [5, 0, 0], "lookAt": [0, 0, 0]}}]},
         "define": {"ball": {"type": "sphere", "radius": 1, "id": "ball", "comment": "a ball"}},
