@@ -131,9 +131,9 @@ impl FarDecoder {
     /// The area that a unit of an aggregate's mass takes of the light, and its colour, if colours
     /// follow from densities.
     pub(crate) fn of_mass(&self, aggregate: &Aggregate) -> (f64, [f32; 3]) {
-        let absorber = Absorber::of(aggregate, &self.sections);
+        let variances = aggregate.deviations.map(|length| length * length);
         let color = if self.colors_densities { self.sections.color(aggregate) } else { [0.0; 3] };
-        (absorber.cross_section / absorber.mass, color)
+        (self.sections.of(aggregate, variances) / (self.sections.kernel.0 * aggregate.mass), color)
     }
 
     /// Decodes some records of a page, all of one level, each by a part.
