@@ -347,7 +347,7 @@ fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
         return Err(SettingError::CapResolution(settings.cap_resolution).into());
     }
     if let Lod::Footprint(factor) = settings.lod
-        && !(1.0 / 16.0..=64.0).contains(&factor)
+        && Lod::footprint(factor.into()).is_none()
     {
         return Err(SettingError::Lod(factor).into());
     }

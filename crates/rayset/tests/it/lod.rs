@@ -13,7 +13,8 @@ use rayset::octree::aggregates::{AGGREGATE_BYTES, AggregateOptions, add_to_file}
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::points::Workload;
 use rayset::scene::{
-    Camera, CloudObject, ColorRule, Lighting, Lod, OpacityRule, Projection, Scene, Step, TransferFunction,
+    Camera, CloudObject, ColorMap, ColorRule, Lighting, Lod, MapInput, OpacityRule, Projection, Samples,
+    Scene, Step, TransferFunction,
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::reference::far::{Far, opacities};
@@ -83,6 +84,32 @@ fn pictures_from_afar_are_those_of_the_judge() {
     for factor in [0.3, 1.0, 4.0] {
         let (mean, most) = compare(&object, &camera, 24, factor);
         assert!(mean < 2e-3 && most < 0.02, "mixed {factor}: {mean}, {most}");
+    }
+}
+
+/// Points that are densities overlap others that are seen from afar: their colours are those of the
+/// density of both.
+#[test]
+fn colours_of_densities_from_afar_are_those_of_many_rays() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    build_at(&path, Box::new(mixed_points(20_000, 4.0, 4)), &BuildOptions::default());
+    add(&path);
+    let (mut object, camera) = seen_from(&path, 4.0);
+    let map = ColorMap::named("inferno".parse().expect("a map"), (0.0, 40.0));
+    object.transfer.color = ColorRule::Map { map, input: MapInput::Density };
+    object.transfer.opacity = OpacityRule::Extinction(0.2);
+    let scene = Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object) };
+    let seen = |lod: Lod, samples: u32| {
+        let settings = settings(24, 24).with_lod(lod).with_samples(Samples::Fixed(samples));
+        picture(&scene, &camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30))
+            .expect("a picture")
+    };
+    let (truth, from_afar) = (seen(Lod::Off, 8), seen(Lod::Footprint(2.0), 1));
+    for channel in 0..4 {
+        let mean = |pixels: &[[f32; 4]]| pixels.iter().map(|p| f64::from(p[channel])).sum::<f64>() / 576.0;
+        let (is, was) = (mean(&from_afar), mean(&truth));
+        assert!((is / was - 1.0).abs() < 0.1 && was > 0.002, "{channel}: {is} of {was}");
     }
 }
 
