@@ -31,7 +31,7 @@ pub(super) struct Samples<'t> {
     pub(super) batch: &'t mut RunBatch,
     pub(super) counts: &'t mut RenderCounts,
     pub(super) field: &'t mut FieldSamples,
-    pub(super) far: &'t mut FarScratch,
+    pub(super) far: &'t mut Option<Box<FarScratch>>,
 }
 
 impl Gathering<'_> {
@@ -123,6 +123,7 @@ impl Gathering<'_> {
         let what = if what == RunPart::Whole { RunPart::Density } else { what };
         let key = RunKey { what, ..key };
         to.add(on, |batch, far| {
+            let far = far.get_or_insert_default();
             batch.append_made(key, on, simd, |step, out| {
                 let node = &self.cut.nodes[cut.node as usize];
                 let mut pages = RecordPages::new(self.place.access, cloud, seen.lod);
@@ -187,7 +188,7 @@ impl Samples<'_> {
     fn add(
         &mut self,
         on: (&Packet, Slab, u64),
-        mut append: impl FnMut(&mut RunBatch, &mut FarScratch) -> Result<Appended, Halt>,
+        mut append: impl FnMut(&mut RunBatch, &mut Option<Box<FarScratch>>) -> Result<Appended, Halt>,
     ) -> Result<(), Halt> {
         let mut appended = append(self.batch, self.far)?;
         if appended == Appended::NoRoom {

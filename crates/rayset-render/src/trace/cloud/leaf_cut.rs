@@ -28,6 +28,8 @@ pub(super) struct LeafCut {
     pub(super) left: Option<Left>,
     /// The cells that have some of these, level by level.
     pub(super) levels: Vec<Vec<Cover>>,
+    /// How many records were looked at.
+    walked: u32,
 }
 
 /// Points of a leaf that are left, by their numbers: ranges that have nothing in common.
@@ -204,11 +206,13 @@ fn children_of(
     Ok((end > first.first_child).then_some((first.first_child, end)))
 }
 
-/// For which leaf a cut is: its cloud, its points, and the parts of it that are seen.
+/// For which leaf a cut is: all that it follows from.
 #[derive(Clone, Copy, PartialEq)]
 struct Key {
     cloud: usize,
     own: (u32, u16),
+    level: u8,
+    radius_max: f32,
     record: u32,
     part: (f32, f32),
     sight: Sight,
@@ -238,13 +242,22 @@ impl LeafCuts {
             return Ok(None);
         }
         let own = (node.own.first_page, node.own.first_run);
-        let key = Key { cloud, own, record: part.record, part: (part.whole, part.rest), sight: *seen.sight };
+        let (level, radius_max, sight) = (node.level, node.radius_max, *seen.sight);
+        let key =
+            Key { cloud, own, level, radius_max, record: part.record, part: (part.whole, part.rest), sight };
         if let Some(at) = self.kept.iter().rposition(|(kept, ..)| *kept == key) {
             let last = self.kept.len() - 1;
             self.kept[at..=last].rotate_left(1);
-            return Ok(Some(self.kept[last].2.clone()));
+            let kept = self.kept[last].2.clone();
+            // As if it had been found now: whether a packet looks at too many must not depend on
+            // what was kept.
+            walked.add(seen.cloud, pages, kept.walked)?;
+            return Ok(Some(kept));
         }
-        let found = Arc::new(LeafCut::find(seen, pages, (node, part), walked)?);
+        let before = *walked;
+        let mut found = LeafCut::find(seen, pages, (node, part), walked)?;
+        found.walked = walked.since(before);
+        let found = Arc::new(found);
         let bytes = size_of::<(Key, usize, Arc<LeafCut>)>() + size_of::<LeafCut>() + found.bytes();
         while self.bytes + bytes > Self::BYTES && !self.kept.is_empty() {
             self.bytes -= self.kept.remove(0).1;

@@ -61,7 +61,8 @@ pub(in crate::trace) struct CloudScratch {
     /// The same of what is seen from afar.
     spread: Vec<FieldSamples>,
     leaves: LeafCuts,
-    far: Box<FarScratch>,
+    /// `None` until a cloud is seen from afar.
+    far: Option<Box<FarScratch>>,
 }
 
 impl CloudScratch {
@@ -83,7 +84,7 @@ impl CloudScratch {
             fields: Vec::new(),
             spread: Vec::new(),
             leaves: LeafCuts::default(),
-            far: Box::default(),
+            far: None,
         }
     }
 

@@ -55,6 +55,11 @@ impl Walked {
         let most = 16 + 4 * u64::from(pages.records());
         if self.0 > most { Err(cloud.broken(cloud.first_record_page()).into()) } else { Ok(()) }
     }
+
+    /// Records that were looked at since.
+    pub(super) fn since(self, before: Self) -> u32 {
+        (self.0 - before.0).try_into().unwrap_or(u32::MAX)
+    }
 }
 
 /// Where the cut is: a cloud as it is seen, in the cloud's space.
