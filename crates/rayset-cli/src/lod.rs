@@ -28,10 +28,10 @@ pub(crate) struct LodArgs {
     /// Cloud file to write; the same by default
     #[arg(short, long)]
     output: Option<PathBuf>,
-    /// Kernel of the densities; with --normalised, as the cloud's look has it by default
+    /// Kernel of the densities; by default, kernel and normalisation are those of the cloud's look
     #[arg(long)]
     kernel: Option<Kernel>,
-    /// Divide weights by what their kernels integrate to
+    /// Divide weights by what their kernels integrate to (of the kernel wyvill, if none is named)
     #[arg(long)]
     normalised: bool,
     /// Memory for the whole process

@@ -186,14 +186,7 @@ fn no_room(error: &anyhow::Error) -> bool {
         GridBuildError::Output(error) => of_output(error),
         _ => None,
     };
-    let of_aggregates = |error: &AggregateError| match error {
-        AggregateError::Io { source, .. } => Some(source.kind()),
-        AggregateError::Output(error) => of_output(error),
-        _ => None,
-    };
-    let kind = (error.downcast_ref().and_then(of_build))
-        .or_else(|| error.downcast_ref().and_then(of_grid))
-        .or_else(|| error.downcast_ref().and_then(of_aggregates));
+    let kind = error.downcast_ref().and_then(of_build).or_else(|| error.downcast_ref().and_then(of_grid));
     matches!(
         kind,
         Some(
@@ -309,10 +302,10 @@ impl Work<'_> {
     /// of the time of its pictures would go into points that are small beside a pixel.
     fn aggregate_gas(&self, output: &Path, (memory, threads): (u64, usize)) -> Result<()> {
         let cloud = Arc::new(Cloud::open(output)?);
-        let chosen = look::of_cloud(&cloud, &Style::default(), (64, 64))?;
-        if chosen.look != LookName::Gas.name() || cloud.header().weight.min() < 0.0 {
+        let chosen = look::of_cloud(&cloud, &Style::default(), (64, 64));
+        let Some(chosen) = chosen.ok().filter(|chosen| chosen.look == LookName::Gas.name()) else {
             return Ok(());
-        }
+        };
         let (kernel, normalised) = chosen.kernel();
         let options = AggregateOptions::default()
             .with_kernel(kernel)
@@ -324,8 +317,15 @@ impl Work<'_> {
         let progress = |done, total| reported.update(Stage::Aggregate, done, total);
         drop(cloud);
         match build::add_aggregates(output, output, &options, &progress, &host.cancel()) {
+            // Pictures must not depend on memory.
             Err(AggregateError::Memory { given, needed }) => Err(BuildError::Memory { given, needed }.into()),
-            made => made.map(drop).map_err(Into::into),
+            Err(AggregateError::Cancelled) => Err(BuildError::Cancelled.into()),
+            Ok(_) | Err(AggregateError::Unsupported { .. }) => Ok(()),
+            Err(error) => {
+                // The cloud is whole without.
+                self.said.remark(&format!("every point will be looked at: {error}"));
+                Ok(())
+            }
         }
     }
 

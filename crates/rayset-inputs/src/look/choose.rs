@@ -358,22 +358,32 @@ fn of_sampled_grid(
 /// then sees all of it. Returns what is to be said.
 fn see_from_afar(cloud: &Cloud, style: &Style, scene: &mut Value) -> &'static str {
     let (header, root) = (cloud.header(), &scene["root"]);
+    let can_be = header.radius_scale == 1.0
+        && root["radiusScale"].is_null()
+        && header.weight.min() >= 0.0
+        && header.points >= MANY_POINTS;
     let Some(aggregates) = &header.aggregates else {
-        return if style.lod.is_none() { NO_AGGREGATES } else { "" };
+        let by_default = style.lod.is_none() && style.kernel.is_none() && style.normalised.is_none();
+        return if can_be && by_default { NO_AGGREGATES } else { "" };
     };
     let kernel = root["kernel"].as_str().map_or(Some(Kernel::default()), |name| name.parse().ok());
     let is_right = kernel == Some(aggregates.kernel)
         && root["normalised"].as_bool().unwrap_or(false) == aggregates.normalised
         && header.radius_scale == 1.0
-        && root["radiusScale"].is_null()
-        && header.weight.min() >= 0.0;
+        && root["radiusScale"].is_null();
     if !is_right || style.lod == Some(Lod::Off) {
         return "";
     }
     scene["rendering"]["lod"] = json!("auto");
-    scene["image"]["samples"] = json!(1);
+    // Of what is narrower than a pixel, one ray does not see all.
+    if !matches!(style.lod, Some(Lod::Footprint(factor)) if factor < 1.0) {
+        scene["image"]["samples"] = json!(1);
+    }
     "; small points are seen together (--lod off: each by itself)"
 }
+
+/// Of so many points and more, it is said that gas could be seen from afar.
+const MANY_POINTS: u64 = 200_000;
 
 /// What is said of gas that could be seen from afar.
 const NO_AGGREGATES: &str = "; every point is looked at: `rayset lod FILE` adds to a cloud file what makes pictures like this in a part of the time";

@@ -131,7 +131,7 @@ impl Clusters {
         is_averaged: impl Fn(usize) -> bool,
     ) {
         let clusters = self;
-        clusters.cells.set(run, points, beginnings(run, of_mass, (of.edge, corner)));
+        clusters.cells.set(run, points, beginnings(run, (&points.seen, of_mass), (of.edge, corner)));
         let cells = &clusters.cells;
         clusters.len = cells.len;
         let nearer = (1.0 - of.wider).sqrt();
@@ -185,46 +185,48 @@ fn average(column: &mut Column, cells: &Cells, points: &Points, (len, wider): (u
     let mut first = 0;
     while first < cells.len {
         let end = first + usize::from(cells.in_wider[first]);
-        let mut sums = [0.0; 8];
+        let mut sums = [0.0; RUN_POINTS];
         let (mut all, seen) = (0.0, cells.wider[0][first]);
         for cell in first..end {
             let sum: f64 = cells.points(cell, len).map(|i| points.seen[i] * f64::from(column[i])).sum();
-            sums[(cell - first) % 8] = sum;
+            sums[cell - first] = sum;
             all += sum;
         }
         for cell in first..end {
-            let own = sums[(cell - first) % 8] / cells.own[0][cell];
+            let own = sums[cell - first] / cells.own[0][cell];
             column[cell] = (own + wider * (all / seen - own)) as f32;
         }
         first = end;
     }
 }
 
-/// The points with which cells begin, and cells of twice the edge: a bit for each. Points of one
-/// cell follow each other.
+/// The points with which cells begin, and cells of twice the edge: a bit for each. Of points that
+/// are seen, those are together that follow each other. A cell may come again: points lie in the
+/// order of their sizes, first.
 #[inline(always)]
-fn beginnings(run: &DecodedRun, of_mass: &[f64; RUN_POINTS], (edge, corner): (f64, DVec3)) -> (u128, u128) {
+fn beginnings(
+    run: &DecodedRun,
+    (seen, of_mass): (&[f64; RUN_POINTS], &[f64; RUN_POINTS]),
+    (edge, corner): (f64, DVec3),
+) -> (u128, u128) {
     let per_edge = 1.0 / edge;
     let from = ((run.center - corner) * per_edge).to_array();
-    let (mut begins, mut begins_wider) = ([0_u8; RUN_POINTS], [0_u8; RUN_POINTS]);
+    let [mut places, mut wider] = [[[0.0; RUN_POINTS]; 3]; 2];
     for axis in 0..3 {
-        let (mut place, mut wider) = ([0.0; RUN_POINTS], [0.0; RUN_POINTS]);
         for i in 0..RUN_POINTS {
-            place[i] = (from[axis] + f64::from(run.points.position[axis][i]) * per_edge).floor();
-            wider[i] = (place[i] * 0.5).floor();
-        }
-        for i in 1..RUN_POINTS {
-            begins[i] |= u8::from(place[i] != place[i - 1]);
-            begins_wider[i] |= u8::from(wider[i] != wider[i - 1]);
+            let place = (from[axis] + f64::from(run.points.position[axis][i]) * per_edge).floor();
+            (places[axis][i], wider[axis][i]) = (place, (place * 0.5).floor());
         }
     }
-    for i in 1..RUN_POINTS {
-        begins_wider[i] |= u8::from(of_mass[i] != of_mass[i - 1]);
+    let (mut begin, mut begin_wider, mut before) = (0, 0, None);
+    for i in (0..run.len).filter(|&i| seen[i] > 0.0) {
+        let differs = |of: &[[f64; RUN_POINTS]; 3], j: usize| (0..3).any(|axis| of[axis][i] != of[axis][j]);
+        let is_new = |of| before.is_none_or(|j: usize| differs(of, j) || of_mass[i] != of_mass[j]);
+        begin |= u128::from(is_new(&places)) << i;
+        begin_wider |= u128::from(is_new(&wider)) << i;
+        before = Some(i);
     }
-    let bits =
-        |begins: &[u8; RUN_POINTS]| (0..RUN_POINTS).fold(0, |bits, i| bits | u128::from(begins[i]) << i);
-    let wider = bits(&begins_wider);
-    (bits(&begins) | wider, wider)
+    (begin | begin_wider, begin_wider)
 }
 
 impl Default for Points {

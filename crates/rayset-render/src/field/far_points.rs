@@ -250,10 +250,15 @@ impl Spread {
         let (mut reach, mut shortest) = ([[0.0_f32; RUN_POINTS]; 3], [0.0_f32; RUN_POINTS]);
         for i in 0..clusters.len {
             let toward = [0, 1, 2].map(|axis| seen.toward[axis][i]);
-            let (axes, v) = principal_axes([0, 1, 2, 3, 4, 5].map(|k| clusters.covariance[k][i]));
+            let covariance = [0, 1, 2, 3, 4, 5].map(|k| clusters.covariance[k][i]);
+            // In units of the size: squares of lengths squared are beyond single precision.
+            let size = (covariance[0] + covariance[1] + covariance[2]).max(f32::MIN_POSITIVE);
+            let per_size = 1.0 / size;
+            let (axes, v) = principal_axes(covariance.map(|of| of * per_size));
             let across = axes.map(|axis| dot(axis, toward) * dot(axis, toward));
             let area = across[0] * v[1] * v[2] + across[1] * v[2] * v[0] + across[2] * v[0] * v[1];
-            let area = 12.0 * area.max(0.0).sqrt();
+            let area = 12.0 * area.max(0.0).sqrt() * size;
+            let v = v.map(|of| of * size);
             let cross = clusters.cross_section[i] as f32;
             let depth = (cross / area.max(f32::MIN_POSITIVE)).min(MOST_DEPTH as f32);
             let opacity = absorbed(depth);

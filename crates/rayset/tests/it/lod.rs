@@ -11,7 +11,7 @@ use rayset::geometry::DVec3;
 use rayset::octree::Cloud;
 use rayset::octree::aggregates::{AGGREGATE_BYTES, AggregateOptions, add_to_file};
 use rayset::octree::build::{BuildOptions, Rule};
-use rayset::points::Workload;
+use rayset::points::{ArraySource, Workload};
 use rayset::scene::{
     Camera, CloudObject, ColorMap, ColorRule, Lighting, Lod, MapInput, OpacityRule, Projection, Samples,
     Scene, Step, TransferFunction,
@@ -110,6 +110,45 @@ fn colours_of_densities_from_afar_are_those_of_many_rays() {
         let mean = |pixels: &[[f32; 4]]| pixels.iter().map(|p| f64::from(p[channel])).sum::<f64>() / 576.0;
         let (is, was) = (mean(&from_afar), mean(&truth));
         assert!((is / was - 1.0).abs() < 0.1 && was > 0.002, "{channel}: {is} of {was}");
+    }
+}
+
+/// Where clusters are made of points of many sizes, too.
+#[test]
+fn points_of_one_colour_have_it_from_afar() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let mut random = Random(3);
+    let (mut position, mut columns) = (Vec::new(), vec![Vec::new(); 4]);
+    for _ in 0..40_000 {
+        position.push([0; 3].map(|_| 2.0 * random.unit() - 1.0));
+        columns[0].push((0.06 * 2_f64.powf(-4.0 * random.unit())) as f32);
+        for (column, value) in columns[1..].iter_mut().zip([0.8, 0.5, 0.2]) {
+            column.push(value);
+        }
+    }
+    let names = ["radius", "red", "green", "blue"];
+    let source = ArraySource::new(position, names.into_iter().zip(columns).collect());
+    build_at(&path, Box::new(source), &BuildOptions::default());
+    add(&path);
+    let (mut object, camera) = seen_from(&path, 4.0);
+    object.transfer.color = ColorRule::Points;
+    object.transfer.opacity = OpacityRule::Extinction(0.2);
+    let scene = Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object) };
+    let with = |lod: Lod| {
+        let settings = settings(24, 24).with_lod(lod);
+        picture(&scene, &camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30))
+            .expect("a picture")
+    };
+    let color_of = |pixels: &[[f32; 4]]| {
+        let sum = |channel: usize| pixels.iter().map(|p| f64::from(p[channel])).sum::<f64>();
+        [0, 1, 2].map(|channel| sum(channel) / sum(3))
+    };
+    let whole = color_of(&with(Lod::Off));
+    for factor in [0.7, 1.0, 1.4, 3.0] {
+        for (is, was) in color_of(&with(Lod::Footprint(factor))).into_iter().zip(whole) {
+            assert!((is / was - 1.0).abs() < 2e-3, "{factor}: {is} of {was}");
+        }
     }
 }
 

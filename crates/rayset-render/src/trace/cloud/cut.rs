@@ -102,8 +102,10 @@ impl Cut {
         let mask = of_node.map_or(0, |place| place.child_mask);
         for rank in (0..8).filter(|rank| node.child_mask >> rank & 1 == 1) {
             let child = if mask >> rank & 1 == 1 {
-                record += 1;
-                self.of_record(seen, pages, (record - 1, node.level + 1), part)?
+                // A number that is none is refused.
+                let own = record;
+                record = record.saturating_add(1);
+                self.of_record(seen, pages, (own, node.level + 1), part)?
             } else {
                 NodePart { record: NONE, nearest: part.nearest, whole: part.rest, rest: part.rest }
             };

@@ -12,6 +12,7 @@ use crate::trace::access::Halt;
 use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::Aabb;
 use rayset_files::octree::aggregates::CellPlace;
+use rayset_files::octree::layout::DEEPEST_LEVEL;
 use rayset_files::octree::node::Node;
 
 /// Records that are decoded together.
@@ -96,14 +97,12 @@ impl LeafCut {
     ) -> Result<Self, Halt> {
         let mut cut = Self::default();
         let place = pages.place(part.record, node.level)?;
-        if place.cells == 0 {
-            return Ok(cut);
-        }
         let pixel = seen.sight.pixel_at(place.centroid);
         let seen_part = |part: f32| if f64::from(part) > LEAST_PART { part } else { 0.0 };
         let (mut ranges, mut left, mut some_larger) = (Left::default(), part.rest, false);
         let (mut first, mut end, mut level) = (part.record, part.record + 1, node.level);
         while f64::from(left) > LEAST_PART
+            && level < DEEPEST_LEVEL
             && let Some((first_child, last_child)) = children_of(seen, pages, (first..end, level), walked)?
         {
             (first, end, level) = (first_child, last_child, level + 1);
@@ -116,8 +115,9 @@ impl LeafCut {
                 let cells =
                     CellLevel { first, end, level, edge, part: here, part_of_last: of_last, leaves_points };
                 cut.add(seen, pages, cells, (&mut ranges, walked))?;
-                some_larger |= of_last > 0.0 && f64::from(node.radius_max) > edge;
             }
+            // Those that are in no record are in no range.
+            some_larger |= f64::from(node.radius_max) > edge;
         }
         ranges.0.sort_unstable();
         cut.left = (!some_larger).then_some(ranges);
@@ -239,6 +239,10 @@ impl LeafCuts {
         walked: &mut Walked,
     ) -> Result<Option<Arc<LeafCut>>, Halt> {
         if node.child_mask != 0 || part.record == NONE || !(part.rest > 0.0) {
+            return Ok(None);
+        }
+        // A leaf that is not divided has no cells.
+        if pages.place(part.record, node.level)?.cells == 0 {
             return Ok(None);
         }
         let own = (node.own.first_page, node.own.first_run);

@@ -100,7 +100,9 @@ pub(super) fn why_whole(object: &CloudObject, world_from_local: &DAffine3) -> Op
         return Some("its file has no aggregates (rayset lod adds them)");
     };
     if aggregates.kernel != object.kernel || aggregates.normalised != object.normalised {
-        return Some("its aggregates are of another kernel (rayset lod --kernel makes others)");
+        return Some(
+            "its aggregates are of another kernel, or not normalised alike (rayset lod --kernel, --normalised)",
+        );
     }
     if header.radius_scale != 1.0 || header.weight.min() < 0.0 {
         return Some("its radii are scaled, or some weights are negative");
