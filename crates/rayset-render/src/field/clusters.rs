@@ -255,3 +255,30 @@ impl Default for Clusters {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points that go to and fro between two cells make many clusters of one wider cell.
+    #[test]
+    fn clusters_have_the_colour_of_their_points_however_often_a_cell_comes_again() {
+        let mut run = DecodedRun { len: 40, ..DecodedRun::default() };
+        let mut points = Points::default();
+        for i in 0..run.len {
+            run.points.position[0][i] = if i % 2 == 0 { 0.25 } else { 0.75 };
+            (points.part[i], points.seen[i]) = (0.5, 1.0 + i as f64);
+            (0..3).for_each(|axis| points.covariance[axis][i] = 0.01);
+        }
+        run.attribute = vec![[0.7; RUN_POINTS]];
+        for wider in [0.0, 0.3] {
+            let mut clusters = Clusters::default();
+            let cells = ClusterCells { edge: 0.5, wider };
+            clusters.set(&mut run, (&points, &[1.0; RUN_POINTS]), (cells, DVec3::ZERO), |_| true);
+            assert_eq!(clusters.len, 40);
+            assert!(run.attribute[0][..40].iter().all(|color| (color - 0.7).abs() < 1e-6));
+            let seen: f64 = (0..40).map(|i| clusters.mass[i] * f64::from(clusters.part[i])).sum();
+            assert!((seen / points.seen[..40].iter().sum::<f64>() - 1.0).abs() < 1e-6);
+        }
+    }
+}

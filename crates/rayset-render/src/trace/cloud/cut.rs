@@ -26,8 +26,10 @@ pub(super) struct PointsOfNode {
     pub(super) part: NodePart,
     /// Edge of its cell.
     pub(super) edge: f64,
-    /// Of a leaf, the cells below it.
+    /// Of a leaf, the cells below it, until all is passed.
     pub(super) leaf: Option<Arc<LeafCut>>,
+    /// The last tick that its points may reach.
+    pub(super) last: u64,
 }
 
 /// What is kept of the cut for a packet.
@@ -51,6 +53,11 @@ impl Cut {
         };
         self.nodes.clear();
         self.parts.clear();
+    }
+
+    /// Forgets the cells of leaves to which no ray comes any more: a packet goes through many.
+    pub(super) fn pass(&mut self, since: u64) {
+        self.nodes.iter_mut().filter(|of| of.last < since).for_each(|of| of.leaf = None);
     }
 
     /// The parts of some records.

@@ -12,7 +12,7 @@ use crate::trace::access::Halt;
 use rayset_base::bytes::list_bytes;
 use rayset_base::geometry::Aabb;
 use rayset_files::octree::aggregates::CellPlace;
-use rayset_files::octree::layout::DEEPEST_LEVEL;
+use rayset_files::octree::layout::{DEEPEST_LEVEL, RUN_POINTS};
 use rayset_files::octree::node::Node;
 
 /// Records that are decoded together.
@@ -28,7 +28,7 @@ pub(super) struct LeafCut {
     /// The points that are not wholly seen as cells; `None` if that may be any.
     pub(super) left: Option<Left>,
     /// The cells that have some of these, level by level.
-    pub(super) levels: Vec<Vec<Cover>>,
+    pub(super) levels: Vec<Covers>,
     /// How many records were looked at.
     walked: u32,
 }
@@ -49,20 +49,34 @@ impl Left {
     }
 }
 
-/// A cell that stands for a part of some points, or of which not all is seen so.
+/// The cells of a leaf at a level, by their points, of which records follow each other.
+#[derive(Debug)]
+pub(super) struct Covers {
+    pub(super) first_record: u32,
+    pub(super) level: u8,
+    /// Points with larger radii are not in the records.
+    pub(super) edge: f64,
+    pub(super) cells: Vec<Cover>,
+    /// If points are left of cells that are not divided, the area that a unit of the mass of each
+    /// takes of the light, not a number of others, and its colour; otherwise none.
+    pub(super) of_mass: Vec<(f64, [f32; 3])>,
+}
+
+/// A cell that stands for a part of some points.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cover {
-    /// Numbers of its points: the first, and one past the last.
+    /// The number of its first point, and how many more it has.
     pub(super) from: u32,
-    pub(super) end: u32,
-    /// Points with larger radii are not in its record.
-    pub(super) edge: f64,
+    more: u16,
     /// The part of its points for which it stands.
     pub(super) part: f32,
-    pub(super) record: u32,
-    pub(super) level: u8,
-    /// The area that a unit of its mass takes of the light, and its colour, if it is not divided.
-    pub(super) of_mass: Option<(f64, [f32; 3])>,
+}
+
+impl Cover {
+    /// One past the number of its last point.
+    pub(super) fn end(&self) -> u32 {
+        self.from + u32::from(self.more) + 1
+    }
 }
 
 /// The cells of a leaf at a level: records that follow each other.
@@ -106,6 +120,10 @@ impl LeafCut {
             && let Some((first_child, last_child)) = children_of(seen, pages, (first..end, level), walked)?
         {
             (first, end, level) = (first_child, last_child, level + 1);
+            // Each cell has a point of its own.
+            if (end - first) as usize > node.own.runs as usize * RUN_POINTS {
+                return Err(seen.cloud.broken(seen.cloud.first_record_page()).into());
+            }
             let edge = seen.edge(level);
             let here = seen_part(left * part_of_cell(edge, pixel) as f32);
             let of_last = seen_part(left * part_of_last_cell(edge, pixel) as f32);
@@ -136,7 +154,13 @@ impl LeafCut {
         cells: CellLevel,
         (left, walked): (&mut Left, &mut Walked),
     ) -> Result<(), Halt> {
-        let mut covers = Vec::with_capacity((cells.end - cells.first).min(GROUP) as usize);
+        let mut covers = Covers {
+            first_record: cells.first,
+            level: cells.level,
+            edge: cells.edge,
+            cells: Vec::with_capacity((cells.end - cells.first).min(GROUP) as usize),
+            of_mass: Vec::new(),
+        };
         let mut first = cells.first;
         while first < cells.end {
             let count = GROUP.min(cells.end - first).min(pages.left_in_page(first));
@@ -149,18 +173,16 @@ impl LeafCut {
                     bounds = bounds.union(seen.lod.around(&place, seen.sight));
                 }
                 self.parts.push(part);
-                let from = u32::from(place.first_point);
-                let end = from + u32::from(place.more_points) + 1;
-                let is_last = place.cells == 0;
-                if is_last && cells.leaves_points {
-                    left.0.push((from, end));
+                let cover = Cover { from: place.first_point.into(), more: place.more_points, part };
+                covers.cells.push(cover);
+                if cells.leaves_points {
+                    let is_last = place.cells == 0;
+                    covers.of_mass.push(match is_last {
+                        true => seen.lod.decoder.of_mass(&pages.record(record, cells.level)?),
+                        false => (f64::NAN, [0.0; 3]),
+                    });
+                    left.0.extend(is_last.then_some((cover.from, cover.end())));
                 }
-                let of_mass = match is_last && cells.leaves_points {
-                    true => Some(seen.lod.decoder.of_mass(&pages.record(record, cells.level)?)),
-                    false => None,
-                };
-                let (edge, level) = (cells.edge, cells.level);
-                covers.push(Cover { from, end, edge, part, record, level, of_mass });
             }
             if !bounds.is_empty() {
                 self.groups
@@ -179,7 +201,8 @@ impl LeafCut {
     }
 
     fn bytes(&self) -> usize {
-        let lists: usize = self.levels.iter().map(list_bytes).sum();
+        let of_level = |covers: &Covers| list_bytes(&covers.cells) + list_bytes(&covers.of_mass);
+        let lists: usize = self.levels.iter().map(of_level).sum();
         let left = self.left.as_ref().map_or(0, |left| list_bytes(&left.0));
         lists + left + list_bytes(&self.levels) + list_bytes(&self.groups) + list_bytes(&self.parts)
     }

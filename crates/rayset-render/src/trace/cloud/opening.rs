@@ -66,8 +66,8 @@ impl<'t> Opening<'t> {
     }
 
     /// Examines the bounds of a node's own runs. This needs their pages, which are soon needed
-    /// again for the points.
-    fn open_own(&mut self, node: &Node, walk: &mut Walk, of_node: u32) -> Result<(), Halt> {
+    /// again for the points. Returns the last tick that any of them may reach.
+    fn open_own(&mut self, node: &Node, walk: &mut Walk, of_node: u32) -> Result<u64, Halt> {
         let PacketInCloud { access, cloud, packet, rays, .. } = self.place;
         if !walk.may_look_at_runs_of(node, cloud.header()) {
             return Err(cloud.broken(node.own.first_page).into());
@@ -77,9 +77,11 @@ impl<'t> Opening<'t> {
         let of = self.cut.nodes.get(of_node as usize);
         let leaf = of.filter(|of| f64::from(node.radius_max) <= of.edge).and_then(|of| of.leaf.as_deref());
         let left = leaf.and_then(|leaf| leaf.left.as_ref());
+        let mut last_of_all = 0;
         each_own_page(access, cloud, node, |page, points, range| {
             if node.own.runs > MOST_SINGLE_RUNS {
                 let (first, last) = rays.ticks_in(packet, node_bounds).unwrap_or((0, 0));
+                last_of_all = last_of_all.max(last);
                 let runs = Runs { page, first: range.start as u16, end: range.end as u16 };
                 self.heap.push(first, Ahead { last, item: Item::Runs(runs, cut) });
                 if of_node != NONE {
@@ -96,6 +98,7 @@ impl<'t> Opening<'t> {
                 }
                 let bounds = self.place.run_bounds(points, index);
                 let Some((first, last)) = rays.ticks_in(packet, &bounds) else { continue };
+                last_of_all = last_of_all.max(last);
                 let item = Item::Runs(Runs { page, first: index as u16, end: index as u16 + 1 }, of_run);
                 if (last - first) >> self.slab.level <= MOST_SAMPLES_AT_ONCE {
                     self.heap.push(first, Ahead { last, item });
@@ -107,7 +110,8 @@ impl<'t> Opening<'t> {
                     self.heap.push(first, Ahead { last, item });
                 }
             }
-        })
+        })?;
+        Ok(last_of_all)
     }
 
     /// Opens a node of which a part is seen from afar.
@@ -131,8 +135,9 @@ impl<'t> Opening<'t> {
         };
         if node.own.runs > 0 && some_left {
             let of_node = self.cut.nodes.len() as u32;
-            self.cut.nodes.push(PointsOfNode { part, edge, leaf });
-            self.open_own(node, walk, of_node)?;
+            self.cut.nodes.push(PointsOfNode { part, edge, leaf, last: u64::MAX });
+            let last = self.open_own(node, walk, of_node)?;
+            self.cut.nodes[of_node as usize].last = last;
         }
         if part.rest == 0.0 || node.child_mask == 0 {
             return Ok(Visit::Skip);

@@ -2,6 +2,7 @@
 //! its node.
 
 use super::cut::PointsOfNode;
+use super::leaf_cut::Covers;
 use super::parts::Seen;
 use super::record_pages::RecordPages;
 use crate::field::PointParts;
@@ -23,13 +24,14 @@ pub(super) fn set_parts(
     let end_point = first_point + len as u32;
     let in_run = |point: u32| (point.clamp(first_point, end_point) - first_point) as usize;
     let levels = node.leaf.as_ref().map_or(&[][..], |leaf| &leaf.levels);
-    for covers in levels {
-        let first = covers.partition_point(|cover| cover.end <= first_point);
-        for cover in covers[first..].iter().take_while(|cover| cover.from < end_point) {
-            let (of_mass, color) = cover.of_mass.unwrap_or((f64::NAN, [0.0; 3]));
-            for i in in_run(cover.from)..in_run(cover.end) {
+    for Covers { edge, cells, of_mass, .. } in levels {
+        let first = cells.partition_point(|cover| cover.end() <= first_point);
+        let here = cells.iter().enumerate().skip(first).take_while(|(_, cover)| cover.from < end_point);
+        for (number, cover) in here {
+            let (of_mass, color) = of_mass.get(number).copied().unwrap_or((f64::NAN, [0.0; 3]));
+            for i in in_run(cover.from)..in_run(cover.end()) {
                 // Points with larger radii are not in the record.
-                if f64::from(radii[i]) <= cover.edge {
+                if f64::from(radii[i]) <= *edge {
                     out.part[i] = (out.part[i] - cover.part).max(0.0);
                     (out.of_mass[i], out.color[i]) = (of_mass, color);
                 }
@@ -49,9 +51,10 @@ pub(super) fn set_parts(
         // The smallest cell that it is in has others below it, or there is none.
         let point = first_point + i as u32;
         let smallest = levels.iter().rev().find_map(|covers| {
-            let cover = covers.get(covers.partition_point(|cover| cover.end <= point))?;
-            let has_it = cover.from <= point && f64::from(radii[i]) <= cover.edge;
-            has_it.then_some((cover.record, cover.level))
+            let number = covers.cells.partition_point(|cover| cover.end() <= point);
+            let cover = covers.cells.get(number)?;
+            let has_it = cover.from <= point && f64::from(radii[i]) <= covers.edge;
+            has_it.then_some((covers.first_record + number as u32, covers.level))
         });
         let (record, level) = smallest.unwrap_or(node.part.nearest);
         let of_mass = match known {
