@@ -25,9 +25,9 @@ const AHEAD_BYTES: usize = 24 << 10;
 /// gradient, colours of points or densities, and what the closure needs.
 const SPREAD_ROWS: usize = 1 + 3 + 3 + 10;
 
-/// What is kept of the cut through a cloud that is seen from afar. As measured at most: 300 KiB of a
-/// hundred million points on a surface, 430 to 1220 of five million of gas, in pictures of 256 to 64
-/// pixels.
+/// What is kept of the cut through a cloud that is seen from afar. As measured at most: 300 KiB of
+/// a hundred million points on a surface, 430 to 1220 of five million of gas, in pictures of 256 to
+/// 64 pixels.
 const CUT_BYTES: usize = 1280 << 10;
 
 /// What the runs of a batch take of more columns than those of densities have.
