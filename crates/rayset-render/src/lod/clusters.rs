@@ -1,12 +1,13 @@
 //! Clusters: points of a run that are seen by themselves, but lie together in a cell that is small
 //! beside a pixel, are seen as one.
 //!
-//! With f² = ρ² + 12 μ r², of a pixel ρ wide and points of radius r or more whose kernel has the
-//! variance μ, clusters are those of the cells of the largest edge e for which 4 e > f ≥ 2 e holds.
-//! While f grows from 2 e to 4 e, the clusters of a cell of edge 2 e become that of this cell, by
-//! the part s = S(log₂(f/e) − 1): the square of their distance from its middle shrinks by 1 − s,
-//! and all else is mixed by s. So the covariance of all of them stays what it is, and nothing
-//! changes where f passes on to the next octave.
+//! The footprint f follows from f² = ρ² + 12 μ r². A pixel is ρ wide, r is the least radius of the
+//! run, and μ is the variance of the kernel. Cells of clusters have the edge e with 2 e ≤ f < 4 e.
+//!
+//! While f grows from 2 e to 4 e, the clusters in a cell of edge 2 e become one, by the part
+//! s = S(log₂(f/e) − 1). The square of their distance from its middle shrinks by 1 − s, and all
+//! else is mixed by s. So the covariance of all of them stays what it is. Nothing changes where f
+//! passes on to the next octave.
 
 use super::cut::part_of_cell;
 
