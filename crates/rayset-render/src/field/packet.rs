@@ -253,6 +253,18 @@ impl Packet {
         let last = (exit / tick + 2.0).min(MOST_TICKS);
         (first < MOST_TICKS).then_some((first as u64, last as u64))
     }
+
+    /// The same, of the beam of all rays. Far away they are much farther apart than a box is wide,
+    /// and what holds for the beam says little: then each ray is asked by itself.
+    #[must_use]
+    pub fn ticks_of_rays_in(&self, beam: &Beam, bounds: &Aabb) -> Option<(u64, u64)> {
+        let (first, last) = self.ticks_in(beam, bounds)?;
+        if beam.width_at(first as f64 * self.tick_world) <= bounds.size().max_element() {
+            return Some((first, last));
+        }
+        let of_each = (0..self.rays).filter_map(|lane| self.ticks_in(&self.beam(1 << lane), bounds));
+        of_each.reduce(|all, one| (all.0.min(one.0), all.1.max(one.1)))
+    }
 }
 
 /// The reciprocal of the length of a block.
@@ -321,4 +333,29 @@ pub(super) struct BlockRange {
     pub(super) first: usize,
     /// One past the last.
     pub(super) end: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The beam of all rays holds everything between them, at distances that differ by much more
+    /// than the box is long.
+    #[test]
+    fn from_very_far_a_box_takes_few_ticks_or_none() {
+        let ray = |x: f64, y: f64| {
+            let direction = DVec3::new(x, y, -1.0).normalize();
+            (Ray { origin: DVec3::new(0.0, 0.0, 5e12), direction }, 0.5)
+        };
+        let packet = Packet::new(&[ray(-0.3, 0.2), ray(0.3, 0.2), ray(0.1, -0.3), ray(-0.1, -0.3)], 0.01);
+        let beam = packet.beam(packet.all());
+        let bounds = Aabb::new(DVec3::splat(-1.0), DVec3::splat(1.0));
+        let (first, last) = packet.ticks_in(&beam, &bounds).unwrap();
+        assert!(last - first > 1 << 40);
+        assert_eq!(packet.ticks_of_rays_in(&beam, &bounds), None);
+        let there = packet.ray(2).at(5.1e12);
+        let bounds = Aabb::new(there - 1.0, there + 1.0);
+        let (first, last) = packet.ticks_of_rays_in(&beam, &bounds).unwrap();
+        assert!(first as f64 <= 5.1e14 && 5.1e14 <= last as f64 && last - first < 1 << 21, "{first} {last}");
+    }
 }

@@ -140,7 +140,7 @@ impl<'p> GraphSamples<'p> {
         let reach = instructions.iter().map(|instruction| instruction.reach_world(sight)).fold(0.0, f64::max);
         for (span, instruction) in self.spans.iter_mut().zip(instructions) {
             let bounds = &instruction.bounds_as_seen(reach);
-            *span = if bounds.is_empty() { None } else { packet.ticks_in(&beam, bounds) };
+            *span = if bounds.is_empty() { None } else { packet.ticks_of_rays_in(&beam, bounds) };
         }
         self.clouds.iter_mut().for_each(|(_, begun)| *begun = false);
         self.forget_places();
