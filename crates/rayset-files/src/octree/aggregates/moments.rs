@@ -66,8 +66,7 @@ impl Moments {
         let mass = points.mass(index);
         self.move_mean(points.position[index], mass, 1);
         self.spread += points.extent(index) * (mass * variance);
-        let radius = points.radius_of_volume(index);
-        self.radius_squared += mass * radius * radius;
+        self.radius_squared += mass * points.radius_squared(index);
         if let Some(color) = points.color.get(index) {
             self.color += color
                 .map(f64::from)

@@ -97,9 +97,18 @@ impl Points {
         self.weight[index] * self.volume[index]
     }
 
-    /// The radius of a ball of the point's volume.
-    pub(super) fn radius_of_volume(&self, index: usize) -> f64 {
-        if self.shape.is_empty() { self.radius[index] } else { self.volume[index].cbrt() }
+    /// r²: of ellipsoids the harmonic mean of the squares of the semi-axes. By volume and surface,
+    /// a ray goes about as far through such an ellipsoid as through a ball of that radius, in the
+    /// mean of directions.
+    pub(super) fn radius_squared(&self, index: usize) -> f64 {
+        let squared = self.radius[index] * self.radius[index];
+        match self.shape.get(index) {
+            None => squared,
+            Some(shape) => {
+                let inverse: f64 = shape.ratios.map(|ratio| 1.0 / (ratio * ratio)).iter().sum();
+                3.0 * squared / (1.0 + inverse)
+            }
+        }
     }
 
     /// R diag(s²) Rᵀ: of a kernel of variance 1 over the unit ball, the covariance in space.

@@ -25,8 +25,8 @@ pub struct Aggregate {
     pub deviations: [f64; 3],
     /// Turns the axes x, y and z to the principal axes.
     pub rotation: DQuat,
-    /// The root of the mean of r², by mass; of ellipsoids r is the radius of a ball of their
-    /// volume. World space.
+    /// The root of the mean of r², by mass; of ellipsoids r² is the harmonic mean of the squares of
+    /// the semi-axes. World space.
     pub radius: f64,
     /// How the mass is distributed over densities.
     pub densities: DensityBins,
