@@ -3,13 +3,15 @@
 use fearless_simd::prelude::*;
 
 use super::columns::PointColumns;
-use super::kept_runs::{KeptRuns, RunKey};
+use super::kept_runs::KeptRuns;
 use super::lane_ray::Frames;
 use super::packet::{Packet, Slab};
 use super::pairs::Pairs;
 use super::run::{DECODED_BYTES, DecodedRun, RunDecoder};
+use super::run_key::RunKey;
 use super::sight::Sight;
 use super::simd::{SimdLevel, dispatch};
+use rayset_base::geometry::Aabb;
 use rayset_files::octree::format::Header;
 use rayset_files::octree::page::Run;
 
@@ -110,13 +112,14 @@ impl RunBatch {
     }
 
     /// Adds a run at the end that `decode` makes, if any samples of a slab on the rays in `lanes`
-    /// may lie in it and it has points.
+    /// may lie in it and it has points. If it is known to be `within` a box, it is not made where
+    /// none lie in that.
     ///
     /// # Errors
     /// Those of `decode`.
     pub(crate) fn append_made<E>(
         &mut self,
-        key: RunKey,
+        (key, within): (RunKey, Option<&Aabb>),
         (packet, slab, lanes): (&Packet, Slab, u64),
         simd: SimdLevel,
         decode: impl FnOnce(f64, &mut DecodedRun) -> Result<(), E>,
@@ -128,6 +131,15 @@ impl RunBatch {
             self.runs.push(Box::default());
         }
         let (item, step) = (&mut *self.runs[self.len], packet.least_step());
+        // Also of what is known: what a packet sees must not depend on that.
+        if let Some(within) = within {
+            item.key = None;
+            item.run.lies_within(within);
+            item.set_frames(simd, (packet, slab, lanes));
+            if item.frames.meets.iter().all(|meets| meets & lanes == 0) {
+                return Ok(Appended::Nothing);
+            }
+        }
         item.key = Some(key);
         let is_known = self.kept.take(key, step, &mut item.run);
         if !is_known {
@@ -174,6 +186,11 @@ impl RunBatch {
     /// as at first, none is kept.
     pub fn set_room(&mut self, has_room: bool) {
         self.kept.set_room(has_room);
+    }
+
+    /// Says how many bytes of memory there are to keep what is seen of runs from afar.
+    pub(crate) fn set_room_from_afar(&mut self, bytes: usize) {
+        self.kept.set_packed_room(bytes);
     }
 
     /// Keeps the run of an item for the next time.

@@ -282,6 +282,14 @@ impl<'t> FarWriter<'t> {
 }
 
 impl DecodedRun {
+    /// Forgets its points; what it becomes is within a box.
+    pub(super) fn lies_within(&mut self, bounds: &Aabb) {
+        self.center = bounds.center();
+        self.reach = (bounds.size() * 0.5).to_array().map(|v| (v * 1.00001) as f32);
+        self.reach_length = self.reach[0] + self.reach[1] + self.reach[2];
+        (self.len, self.may_be_wide, self.has_plates, self.are_splats) = (0, false, false, false);
+    }
+
     /// Becomes one of Gaussians in single precision, whatever it was: what is rounded is a small
     /// part of a pixel.
     pub(super) fn become_spread(&mut self) {

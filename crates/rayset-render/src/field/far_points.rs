@@ -9,7 +9,7 @@ use super::principal_axes::principal_axes;
 use super::run::DecodedRun;
 use super::sight::Sight;
 use super::simd::{SimdLevel, dispatch};
-use crate::lod::{ClusterCells, LEAST_PART, MOST_DEPTH, SPREAD, STRETCH};
+use crate::lod::{ClusterCells, LEAST_PART, MOST_DEPTH, SPREAD, STRETCH, half_density};
 use crate::math::{absorbed, ln};
 use rayset_base::geometry::DVec3;
 use rayset_files::octree::layout::RUN_POINTS;
@@ -43,12 +43,14 @@ impl Default for PointParts {
 
 /// The parts by which points are densities, by their pixels' squares.
 #[inline(always)]
-fn density_parts(radius: &Column, pixel_squared: &Column) -> Column {
+fn density_parts(points: &PointColumns, pixel_squared: &Column) -> Column {
+    let half = half_density(!points.map.is_empty());
+    let (radius, per_half) = (&points.radius, (1.0 / (half * half)) as f32);
     let mut density = [0.0; RUN_POINTS];
     for i in 0..RUN_POINTS {
-        let ratio = radius[i] * radius[i] / pixel_squared[i].max(f32::MIN_POSITIVE);
+        let ratio = radius[i] * radius[i] * per_half / pixel_squared[i].max(f32::MIN_POSITIVE);
         let octaves = ln(ratio.clamp(0.5, 8.0)) * (0.5 * std::f32::consts::LOG2_E);
-        let x = octaves.clamp(0.0, 1.0);
+        let x = (2.0 * octaves + 0.5).clamp(0.0, 1.0);
         density[i] = x * x * (3.0 - 2.0 * x);
     }
     density
@@ -82,7 +84,7 @@ impl DecodedRun {
         let mut stay = [0; 2];
         dispatch!(simd.level(), _simd => {
             let pixels = Footprints::new(sight, sight.pixel, self).squared;
-            let density = density_parts(&self.points.radius, &pixels);
+            let density = density_parts(&self.points, &pixels);
             stay = fade(&mut self.points.weight, &parts.part, &density, self.len);
         });
         self.leave(stay);
@@ -200,7 +202,7 @@ fn set_points(
 ) {
     let (integral, variance) = decoder.kernel();
     let points = &run.points;
-    let density = density_parts(&points.radius, &Footprints::new(sight, sight.pixel, run).squared);
+    let density = density_parts(points, &Footprints::new(sight, sight.pixel, run).squared);
     for i in 0..RUN_POINTS {
         let rest = parts.part[i] * (1.0 - density[i]);
         out.part[i] = if rest > LEAST_PART as f32 { rest } else { 0.0 };

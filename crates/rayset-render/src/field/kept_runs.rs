@@ -1,7 +1,9 @@
 //! Runs that have been decoded: the next slab of a packet needs many of them again, and so do its
 //! neighbours.
 
+use super::packed_runs::PackedRuns;
 use super::run::{DECODED_BYTES, DecodedRun};
+use super::run_key::{RunKey, RunPart};
 
 /// The memory for runs that are kept, in the largest runs that are not wide: what a packet and its
 /// neighbours need of ellipsoids.
@@ -16,31 +18,6 @@ const MOST_SPARE: usize = 9;
 /// The most bytes that kept runs take: larger runs are not kept.
 pub const KEPT_BYTES: usize = (ROOM + MOST_SPARE) * (size_of::<Kept>() + DECODED_BYTES);
 
-/// Which run it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RunKey {
-    /// A number of the cloud and of how its runs are decoded.
-    pub cloud: usize,
-    /// Its page.
-    pub page: u32,
-    /// Its number in the page.
-    pub number: u16,
-    /// What is decoded of it.
-    pub what: RunPart,
-}
-
-/// What is decoded of a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum RunPart {
-    /// All.
-    #[default]
-    Whole,
-    /// What is a density of points that are small in a picture.
-    Density,
-    /// What of these is seen as Gaussians; of aggregates, so many of them.
-    Spread(u16),
-}
-
 /// Runs, of which the one that has not been used for longest goes first.
 #[derive(Debug, Default)]
 pub(super) struct KeptRuns {
@@ -52,6 +29,8 @@ pub(super) struct KeptRuns {
     cost: usize,
     /// Memory for others.
     spare: Vec<Box<DecodedRun>>,
+    /// What is seen of runs from afar.
+    packed: PackedRuns,
 }
 
 #[derive(Debug)]
@@ -70,9 +49,17 @@ impl KeptRuns {
         }
     }
 
+    /// Gives what is seen of runs from afar so many bytes of memory.
+    pub(super) fn set_packed_room(&mut self, bytes: usize) {
+        self.packed.set_room(bytes);
+    }
+
     /// Takes a run out, if it is kept as samples that are at least `step` apart need it: `run`
     /// becomes it.
     pub(super) fn take(&mut self, key: RunKey, step: f64, run: &mut Box<DecodedRun>) -> bool {
+        if key.what != RunPart::Whole {
+            return self.packed.find(key, step, run);
+        }
         // Mostly one of those that were used last.
         let Some(at) = self.runs.iter().rposition(|kept| kept.key == key) else { return false };
         let Kept { run: kept, cost, .. } = self.runs.remove(at);
@@ -86,6 +73,9 @@ impl KeptRuns {
     /// Keeps a run, if there is room and it is not too large; `run` is memory for another then.
     pub(super) fn keep(&mut self, key: RunKey, run: &mut Box<DecodedRun>) {
         run.forget_spare();
+        if key.what != RunPart::Whole {
+            return self.packed.keep(key, run);
+        }
         let Some(memory) = run.memory().filter(|_| self.has_room) else { return };
         let cost = memory * if run.has_shapes() { 1 } else { LESS_FOR_BALLS };
         while self.cost + cost > ROOM && !self.runs.is_empty() {

@@ -68,6 +68,11 @@ impl Plates {
         }
     }
 
+    /// The columns of those of chunks.
+    pub(super) fn by_chunks(&mut self) -> impl Iterator<Item = &mut [f32; CHUNKS]> {
+        self.normal.iter_mut().chain([&mut self.low, &mut self.high])
+    }
+
     /// The ranges of distances in which a ray is within the plates of the eight chunks from `first`
     /// on: from its foot, by the direction and the foot with reversed sign.
     #[inline(always)]

@@ -293,7 +293,7 @@ pub(super) fn normalised_weight(weight: f32, factor: f64, inverse_radius: f32, v
 
 /// Whether points within bounds of a longest edge need double precision, with their largest and
 /// least radius, and the least distance between samples.
-fn is_wide((extent, radius_max): (f64, f64), radius_min: f64, step: f64) -> bool {
+pub(super) fn is_wide((extent, radius_max): (f64, f64), radius_min: f64, step: f64) -> bool {
     extent > WIDEST_IN_F32 * radius_min || extent + 2.0 * radius_max > MOST_STEPS_IN_F32 * step
 }
 

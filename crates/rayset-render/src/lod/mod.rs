@@ -14,4 +14,6 @@ mod cut;
 pub(crate) use self::closure::{Absorber, MOST_DEPTH, MOST_OPACITY, SPREAD, STACKING, STRETCH, Seen, Sums};
 pub(crate) use self::clusters::ClusterCells;
 pub(crate) use self::cross_sections::CrossSections;
-pub(crate) use self::cut::{LEAST_PART, density_part, part_of_cell, part_of_last_cell};
+pub(crate) use self::cut::{
+    DENSITY_FADE, LEAST_PART, density_part, half_density, part_of_cell, part_of_last_cell,
+};

@@ -87,6 +87,8 @@ pub(super) struct Access<'a> {
     pub(super) foresees: Option<f32>,
     /// What it has found out by that.
     pub(super) foreseen: &'a Foreseen,
+    /// Threads that share the memory.
+    pub(super) threads: usize,
     /// Bytes of the pages requested so far.
     pub(super) asked_bytes: &'a Cell<u64>,
     /// How the picture is seen, world space; `None` of what is not shown, as shadows are not: they

@@ -28,7 +28,8 @@ use rayset_store::working_set::{PageClient, Reuse};
 const BETWEEN_CALLS: Duration = Duration::from_millis(5);
 /// The caller looks for tiles of its own accord after this long.
 const MOST_UNSEEN: Duration = Duration::from_millis(20);
-/// Most tiles that a thread traces together.
+/// Most tiles that a thread takes for itself, and traces together: those beside each other need
+/// much the same of what it has decoded.
 const MOST_TOGETHER: usize = 16;
 
 pub(super) struct Job {
@@ -164,10 +165,12 @@ impl Job {
         let (asked_bytes, reuse, foreseen) = (Cell::new(0), RefCell::default(), Foreseen::default());
         let mut together = Together::new(self.most_together());
         let pages = self.pages.for_thread();
-        let mut queue = TileQueue::new(&pages, &*exec.predictor, &asked_bytes, &reuse, &foreseen);
+        let mut queue =
+            TileQueue::new((&pages, &*exec.predictor), exec.threads.max(1), &asked_bytes, &reuse, &foreseen);
+        let mut own = TilePlace { tile: 0, count: 0, pass: 0 };
         while !self.stop.is_cancelled()
-            && let Some(attempt) =
-                queue.next(self.lookahead_state.deferral(), |waits| self.take(together.tiles(), waits))
+            && let Some(attempt) = queue
+                .next(self.lookahead_state.deferral(), |waits| self.take(&mut own, together.tiles(), waits))
         {
             exec.predictor.ahead(self.lookahead(&pages, &reuse), attempt.place.tile);
             let (before, mut is_full) = (tracer.counts(), false);
@@ -205,10 +208,10 @@ impl Job {
             }
         }
         let deferred = queue.into_deferred();
-        let calls = !deferred.is_empty();
+        let calls = !deferred.is_empty() || own.count > 0;
         let mut state = self.lock();
         state.counts += tracer.counts();
-        state.left_behind.extend(deferred);
+        state.left_behind.extend(deferred.into_iter().chain(own.singly().rev().map(Deferred::fresh)));
         drop(state);
         if calls {
             turn.call_others();
@@ -224,26 +227,35 @@ impl Job {
         if world.bounces.is_none() || world.layers { 1 } else { (MOST_SHEETS / rays).clamp(1, MOST_TOGETHER) }
     }
 
-    /// A tile that a thread left behind, otherwise the next tiles of the work: as many as are
-    /// traced together, fewer at its end, so that all threads have something to do until then.
-    /// `None` if there are none, or if the thread has deferred tiles to wait for and the next tile
-    /// should come after them.
-    fn take(&self, together: usize, waits: bool) -> Option<Deferred> {
+    /// A tile that a thread left behind, otherwise the next of the thread's own: as many as are
+    /// traced together. If it has none, it takes the next tiles of the work for its own, fewer at
+    /// the end, so that all threads have something to do until then. `None` if there are none, or
+    /// if the thread has deferred tiles to wait for and the next tile should come after them.
+    fn take(&self, own: &mut TilePlace, together: usize, waits: bool) -> Option<Deferred> {
         let mut state = self.lock();
         if let Some(deferred) = state.left_behind.pop() {
             return Some(deferred);
         }
-        if !state.has_tiles(self.passes.len(), self.tiles.len()) {
+        if own.count == 0 && !state.has_tiles(self.passes.len(), self.tiles.len()) {
             return None;
         }
-        let (tile, left) = (state.next, self.tiles.len() - state.next);
+        let tile = if own.count == 0 { state.next } else { own.tile };
         if waits && self.lookahead_state.is_too_early(tile) {
             return None;
         }
-        let count = together.min(left / (2 * self.prepared.engine.exec.threads.max(1))).max(1);
-        let count = self.lookahead_state.together(tile, count);
-        state.next += count;
-        Some(Deferred::fresh(TilePlace { tile, count, pass: state.pass }))
+        if own.count == 0 {
+            let left = self.tiles.len() - tile;
+            // What is looked ahead at is let go behind the tile that was begun last.
+            let looks_ahead = !self.prepared.world.foresight.is_empty();
+            let most = if looks_ahead { together } else { MOST_TOGETHER };
+            let count = most.min(left / (2 * self.prepared.engine.exec.threads.max(1))).max(1);
+            let count = self.lookahead_state.together(tile, count);
+            state.next += count;
+            *own = TilePlace { tile, count, pass: state.pass };
+        }
+        let place = TilePlace { count: together.min(own.count), ..*own };
+        (own.tile, own.count) = (own.tile + place.count, own.count - place.count);
+        Some(Deferred::fresh(place))
     }
 
     fn lookahead<'a>(&'a self, pages: &'a PageClient, reuse: &'a RefCell<Reuse>) -> Lookahead<'a> {

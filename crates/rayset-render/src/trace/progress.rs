@@ -72,7 +72,7 @@ pub(super) struct State {
     pub(super) next: usize,
     /// Tiles of the pass that are finished.
     pub(super) finished: usize,
-    /// Tiles that threads deferred before they left.
+    /// Tiles that threads deferred, or had taken for their own, before they left.
     pub(super) left_behind: Vec<Deferred>,
     pub(super) outputs: VecDeque<Output>,
     /// Tiles handed out since threads were last called back.

@@ -49,6 +49,7 @@ impl Deferred {
 pub(super) struct TileQueue<'a> {
     pages: &'a PageClient,
     predictor: &'a dyn Predictor,
+    threads: usize,
     asked_bytes: &'a Cell<u64>,
     reuse: &'a RefCell<Reuse>,
     foreseen: &'a Foreseen,
@@ -58,13 +59,13 @@ pub(super) struct TileQueue<'a> {
 
 impl<'a> TileQueue<'a> {
     pub(super) fn new(
-        pages: &'a PageClient,
-        predictor: &'a dyn Predictor,
+        (pages, predictor): (&'a PageClient, &'a dyn Predictor),
+        threads: usize,
         asked_bytes: &'a Cell<u64>,
         reuse: &'a RefCell<Reuse>,
         foreseen: &'a Foreseen,
     ) -> Self {
-        Self { pages, predictor, asked_bytes, reuse, foreseen, deferred: VecDeque::new() }
+        Self { pages, predictor, threads, asked_bytes, reuse, foreseen, deferred: VecDeque::new() }
     }
 
     /// A tile whose page has become resident, otherwise what `take` returns when told whether any
@@ -152,6 +153,7 @@ impl<'a> TileQueue<'a> {
             follows_lines: self.predictor.follows_lines(),
             foresees: if waits { None } else { deferral.policy.reach(deferred.attempts) },
             foreseen: self.foreseen,
+            threads: self.threads,
             asked_bytes: self.asked_bytes,
             sight: None,
             reuse: self.reuse,
@@ -212,7 +214,7 @@ mod tests {
         let set = WorkingSet::new(Limits::total(1 << 20), std::sync::Arc::new(Pool::new(1)));
         let (pages, predictor) = (set.client(&CancelToken::new()), PacketPredictor::default());
         let (asked_bytes, reuse, foreseen) = (Cell::new(0), RefCell::default(), Foreseen::default());
-        let mut queue = TileQueue::new(&pages, &predictor, &asked_bytes, &reuse, &foreseen);
+        let mut queue = TileQueue::new((&pages, &predictor), 1, &asked_bytes, &reuse, &foreseen);
         let place = |tile| TilePlace { tile, count: 1, pass: 0 };
         for &(tile, attempts) in attempts {
             queue.deferred.push_back(Deferred { place: place(tile), attempts, lacking: None });

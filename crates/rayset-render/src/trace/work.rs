@@ -176,7 +176,7 @@ impl TilePlace {
     }
 
     /// The tiles one by one.
-    pub(super) fn singly(self) -> impl Iterator<Item = Self> {
+    pub(super) fn singly(self) -> impl DoubleEndedIterator<Item = Self> {
         self.tiles().map(move |tile| Self { tile, count: 1, ..self })
     }
 }

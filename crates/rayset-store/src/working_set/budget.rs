@@ -5,9 +5,6 @@ use std::sync::Arc;
 use super::source::{KINDS, Kind};
 use rayset_base::sync::atomic::{AtomicBool, Ordering};
 
-/// Of the budget, one part in this many may be lent for other things than pages.
-const LENT_PART: u64 = 32;
-
 /// Hard limits in bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
@@ -59,8 +56,8 @@ pub(super) struct Budget {
     used_by_kind: [u64; KINDS],
     peak: u64,
     peak_by_kind: [u64; KINDS],
-    /// Bytes that are lent.
-    lent: u64,
+    /// Bytes that are lent as no more than one part in so many of the budget, for each such part.
+    lent: Vec<(u64, u64)>,
     /// Whether what is lent now is wanted back.
     due: Arc<AtomicBool>,
 }
@@ -68,37 +65,46 @@ pub(super) struct Budget {
 impl Budget {
     pub(super) fn new(limits: Limits) -> Self {
         let (used_by_kind, peak_by_kind) = ([0; KINDS], [0; KINDS]);
-        Self { limits, used: 0, used_by_kind, peak: 0, peak_by_kind, lent: 0, due: Arc::default() }
+        Self { limits, used: 0, used_by_kind, peak: 0, peak_by_kind, lent: Vec::new(), due: Arc::default() }
     }
 
     /// Sets new limits. If more is lent than these allow, all of it is wanted back, and counts no
     /// more.
     pub(super) fn set_limits(&mut self, limits: Limits) {
         self.limits = limits;
-        if self.lent > self.limits.total / LENT_PART {
-            self.lent = 0;
+        if self.lent.iter().any(|&(part, lent)| lent > self.limits.total / part) {
+            self.lent.clear();
             std::mem::take(&mut self.due).store(true, Ordering::Relaxed);
         }
     }
 
-    /// Lends bytes, if they are a small part of the budget with all that is lent already. Returns
-    /// what says when they are due.
-    pub(super) fn lend(&mut self, bytes: u64) -> Option<Arc<AtomicBool>> {
-        let lent = self.lent.checked_add(bytes).filter(|&lent| lent <= self.limits.total / LENT_PART)?;
-        self.lent = lent;
+    /// Lends bytes, if they are no more than one part in so many of the budget with all that is
+    /// lent as such a part already. Returns what says when they are due.
+    pub(super) fn lend(&mut self, bytes: u64, part: u64) -> Option<Arc<AtomicBool>> {
+        let at = self.lent.iter().position(|(known, _)| *known == part).unwrap_or_else(|| {
+            self.lent.push((part, 0));
+            self.lent.len() - 1
+        });
+        let lent = self.lent[at].1.checked_add(bytes).filter(|&lent| lent <= self.limits.total / part)?;
+        self.lent[at].1 = lent;
         Some(self.due.clone())
     }
 
+    fn all_lent(&self) -> u64 {
+        self.lent.iter().map(|(_, lent)| lent).sum()
+    }
+
     /// Takes back bytes that were lent.
-    pub(super) fn take_back(&mut self, bytes: u64, due: &Arc<AtomicBool>) {
-        if Arc::ptr_eq(due, &self.due) {
-            self.lent -= bytes;
+    pub(super) fn take_back(&mut self, (bytes, part): (u64, u64), due: &Arc<AtomicBool>) {
+        let of_part = self.lent.iter_mut().find(|(known, _)| *known == part);
+        if let Some((_, lent)) = of_part.filter(|_| Arc::ptr_eq(due, &self.due)) {
+            *lent -= bytes;
         }
     }
 
     /// The limit that `bytes` more bytes of a kind would exceed.
     pub(super) fn obstacle(&self, kind: Kind, bytes: u64) -> Option<Obstacle> {
-        if self.used + self.lent + bytes > self.limits.total {
+        if self.used + self.all_lent() + bytes > self.limits.total {
             Some(Obstacle::Total)
         } else if self.used_by_kind[kind.index()] + bytes > self.limits.by_kind[kind.index()] {
             Some(Obstacle::Kind(kind))
@@ -109,7 +115,7 @@ impl Budget {
 
     /// Whether the limits leave room for `bytes` bytes of a kind if nothing else is in memory.
     pub(super) fn could_hold(&self, kind: Kind, bytes: u64) -> bool {
-        bytes <= (self.limits.total - self.lent).min(self.limits.by_kind[kind.index()])
+        bytes <= (self.limits.total - self.all_lent()).min(self.limits.by_kind[kind.index()])
     }
 
     /// A limit that is exceeded now, because the limits have been lowered.

@@ -11,21 +11,28 @@ use rayset_base::sync::atomic::{AtomicBool, Ordering};
 pub struct Loan {
     shared: Arc<Shared>,
     bytes: u64,
+    part: u64,
     due: Arc<AtomicBool>,
 }
 
 impl PageClient {
-    /// Lends memory of the budget, if it is a small part of it, and if evicting pages that are not
-    /// retained makes room.
+    /// Lends memory of the budget, if no more than one part in so many of it, not zero, is lent as
+    /// such a part then, and if evicting pages that are not retained makes room.
     #[must_use]
-    pub fn lend(&self, bytes: u64) -> Option<Loan> {
-        let (due, evicted) = self.shared.pool.lend(bytes);
+    pub fn lend(&self, bytes: u64, part: u64) -> Option<Loan> {
+        let (due, evicted) = self.shared.pool.lend(bytes, part);
         self.shared.count_evictions(&evicted);
-        due.map(|due| Loan { shared: self.shared.clone(), bytes, due })
+        due.map(|due| Loan { shared: self.shared.clone(), bytes, part, due })
     }
 }
 
 impl Loan {
+    /// How much it is.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
     /// Whether it is to be given back as soon as may be: the budget has become smaller, and counts
     /// it no more.
     #[must_use]
@@ -36,6 +43,6 @@ impl Loan {
 
 impl Drop for Loan {
     fn drop(&mut self) {
-        self.shared.pool.take_back(self.bytes, &self.due);
+        self.shared.pool.take_back((self.bytes, self.part), &self.due);
     }
 }

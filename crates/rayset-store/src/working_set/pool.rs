@@ -149,15 +149,15 @@ impl PagePool {
         evicted
     }
 
-    /// Lends bytes of the budget, if pages that are not retained make room. Returns what says when
-    /// they are due, and what was evicted.
-    pub(super) fn lend(&self, bytes: u64) -> (Option<Arc<AtomicBool>>, Vec<Evicted>) {
+    /// Lends bytes, up to one part in so many of the budget, if pages that are not retained make
+    /// room. Returns what says when they are due, and what was evicted.
+    pub(super) fn lend(&self, bytes: u64, part: u64) -> (Option<Arc<AtomicBool>>, Vec<Evicted>) {
         let mut state = self.lock();
-        let Some(due) = state.budget.lend(bytes) else { return (None, Vec::new()) };
+        let Some(due) = state.budget.lend(bytes, part) else { return (None, Vec::new()) };
         let evicted = state.evict_excess(self.tick());
         let fits = state.budget.excess().is_none();
         if !fits {
-            state.budget.take_back(bytes, &due);
+            state.budget.take_back((bytes, part), &due);
         }
         drop(state);
         self.has_evicted(&evicted);
@@ -165,8 +165,8 @@ impl PagePool {
     }
 
     /// Takes back bytes that were lent.
-    pub(super) fn take_back(&self, bytes: u64, due: &Arc<AtomicBool>) {
-        self.lock().budget.take_back(bytes, due);
+    pub(super) fn take_back(&self, lent: (u64, u64), due: &Arc<AtomicBool>) {
+        self.lock().budget.take_back(lent, due);
         self.notify_waiting();
     }
 

@@ -227,9 +227,11 @@ fn what_is_lent_counts_as_pages_do_is_a_small_part_and_is_due_where_the_budget_f
     (0..64).for_each(|page| drop(client.retain(&object, page).expect("room")));
     assert_eq!(in_memory(&set), 64 * PAGE);
     // A part in 32: two pages, and no third.
-    let loans = [client.lend(PAGE).expect("a loan"), client.lend(PAGE).expect("another")];
+    let loans = [client.lend(PAGE, 32).expect("a loan"), client.lend(PAGE, 32).expect("another")];
     assert_eq!(in_memory(&set), 62 * PAGE, "pages make room for what is lent");
-    assert!(client.lend(1).is_none());
+    assert!(client.lend(1, 32).is_none());
+    // Of another part there is as much as if nothing were lent.
+    assert!(client.lend(8 * PAGE, 8).is_some() && client.lend(8 * PAGE + 1, 8).is_none());
     (0..64).for_each(|page| drop(client.retain(&object, page).expect("room")));
     assert_eq!(in_memory(&set), 62 * PAGE);
     // What is given back is room for pages, and may be lent again.
@@ -245,12 +247,12 @@ fn what_is_lent_counts_as_pages_do_is_a_small_part_and_is_due_where_the_budget_f
     assert!(second.is_due());
     drop(second);
     set.set_limits(Limits::total(64 * PAGE));
-    assert!(client.lend(2 * PAGE).is_some() && client.lend(2 * PAGE + 1).is_none());
+    assert!(client.lend(2 * PAGE, 32).is_some() && client.lend(2 * PAGE + 1, 32).is_none());
     // Retained pages make no room.
     let mut retained: Vec<_> = (0..64).map(|page| client.retain(&object, page).expect("room")).collect();
-    assert!(client.lend(PAGE).is_none());
+    assert!(client.lend(PAGE, 32).is_none());
     retained.pop();
-    assert!(client.lend(PAGE).is_some());
+    assert!(client.lend(PAGE, 32).is_some());
 }
 
 fn hints_taken(client: &PageClient, object: &Arc<Object>) -> usize {

@@ -12,6 +12,7 @@ use super::volume::CloudVolume;
 use crate::field::{
     Appended, FarScratch, FieldSamples, Packet, RayEnds, RunBatch, RunKey, RunPart, Slab, Splatter,
 };
+use crate::lod::{DENSITY_FADE, half_density};
 use crate::trace::access::Halt;
 use crate::trace::counts::RenderCounts;
 use rayset_files::octree::page::PointPage;
@@ -113,18 +114,20 @@ impl Gathering<'_> {
         };
         let bounds = run.head.position_bounds(cloud.root_cell);
         let (sight, radius_max) = (seen.sight, f64::from(run.head.radius_max()));
+        let [faint, whole] = DENSITY_FADE.map(|radius| radius * half_density(header.shape.is_some()));
         let is_nothing = match what {
-            RunPart::Whole | RunPart::Density => radius_max <= sight.least_pixel_in(&bounds),
-            RunPart::Spread(_) => f64::from(header.radius.min()) >= 2.0 * sight.largest_pixel_in(&bounds),
+            RunPart::Whole | RunPart::Density => radius_max <= faint * sight.least_pixel_in(&bounds),
+            RunPart::Spread(_) => f64::from(header.radius.min()) >= whole * sight.largest_pixel_in(&bounds),
         };
         if is_nothing {
             return Ok(());
         }
         let what = if what == RunPart::Whole { RunPart::Density } else { what };
         let key = RunKey { what, ..key };
+        let within = self.place.run_bounds(points, index);
         to.add(on, |batch, far| {
             let far = far.get_or_insert_default();
-            batch.append_made(key, on, simd, |step, out| {
+            batch.append_made((key, Some(&within)), on, simd, |step, out| {
                 let node = &self.cut.nodes[cut.node as usize];
                 let mut pages = RecordPages::new(self.place.access, cloud, seen.lod);
                 let of_run = (cut.first_point, run.head.len());
@@ -164,7 +167,7 @@ impl Gathering<'_> {
                 let cloud_number = self.volume.shading.number();
                 let key = RunKey { cloud: cloud_number, page: number, number: index as u16, what };
                 to.add(on, |batch, _| {
-                    batch.append_made(key, on, simd, |_, out| {
+                    batch.append_made((key, None), on, simd, |_, out| {
                         seen.lod.decoder.decode_records(
                             (&page, cloud.header()),
                             (index, records.level),

@@ -241,17 +241,44 @@ struct Key {
     sight: Sight,
 }
 
-/// Cuts that a thread has found, of which the one that has not been used for longest goes first.
+/// Sets of cuts, by the place of the leaf, so that few are looked through.
+const SETS: usize = 8;
+
+/// Cuts that a thread has found, of which the one of a set that has not been used for longest goes
+/// first.
 #[derive(Default)]
 pub(super) struct LeafCuts {
+    sets: [Set; SETS],
+    /// Bytes that may be kept besides [`BYTES`](Self::BYTES).
+    more: usize,
+}
+
+#[derive(Default)]
+struct Set {
     /// In the order of their last use.
     kept: Vec<(Key, usize, Arc<LeafCut>)>,
     bytes: usize,
 }
 
+impl Set {
+    /// Forgets cuts until no more than so many bytes are kept.
+    fn shrink(&mut self, most: usize) {
+        while self.bytes > most && !self.kept.is_empty() {
+            self.bytes -= self.kept.remove(0).1;
+        }
+    }
+}
+
 impl LeafCuts {
-    /// The most bytes that are kept.
+    /// The most bytes that are kept, unless there is room for more.
     pub(super) const BYTES: usize = 384 << 10;
+
+    /// Gives it so many more bytes.
+    pub(super) fn set_more(&mut self, bytes: usize) {
+        self.more = bytes;
+        let most = (Self::BYTES + bytes) / SETS;
+        self.sets.iter_mut().for_each(|set| set.shrink(most));
+    }
 
     /// The cut through a leaf, of which some points are left behind its own record.
     pub(super) fn of(
@@ -272,10 +299,12 @@ impl LeafCuts {
         let (level, radius_max, sight) = (node.level, node.radius_max, *seen.sight);
         let key =
             Key { cloud, own, level, radius_max, record: part.record, part: (part.whole, part.rest), sight };
-        if let Some(at) = self.kept.iter().rposition(|(kept, ..)| *kept == key) {
-            let last = self.kept.len() - 1;
-            self.kept[at..=last].rotate_left(1);
-            let kept = self.kept[last].2.clone();
+        let most = (Self::BYTES + self.more) / SETS;
+        let set = &mut self.sets[(own.0 as usize + usize::from(own.1 / 16)) % SETS];
+        if let Some(at) = set.kept.iter().rposition(|(kept, ..)| *kept == key) {
+            let last = set.kept.len() - 1;
+            set.kept[at..=last].rotate_left(1);
+            let kept = set.kept[last].2.clone();
             // As if it had been found now: whether a packet looks at too many must not depend on
             // what was kept.
             walked.add(seen.cloud, pages, kept.walked)?;
@@ -286,12 +315,10 @@ impl LeafCuts {
         found.walked = walked.since(before);
         let found = Arc::new(found);
         let bytes = size_of::<(Key, usize, Arc<LeafCut>)>() + size_of::<LeafCut>() + found.bytes();
-        while self.bytes + bytes > Self::BYTES && !self.kept.is_empty() {
-            self.bytes -= self.kept.remove(0).1;
-        }
-        if bytes <= Self::BYTES {
-            self.bytes += bytes;
-            self.kept.push((key, bytes, found.clone()));
+        if bytes <= most {
+            set.shrink(most - bytes);
+            set.bytes += bytes;
+            set.kept.push((key, bytes, found.clone()));
         }
         Ok(Some(found))
     }

@@ -7,12 +7,12 @@ use rayset_base::geometry::{Aabb, DAffine3, DMat3};
 use rayset_files::octree::aggregates::{AggregateHeader, CellPlace};
 
 /// How far a Gaussian with the variance of what is in a box may reach beyond the box, in widths of
-/// the box: of a spread that ends at 3.1 deviations.
-const BEYOND: f64 = 1.15;
+/// the box: of a spread that ends at 3.28 deviations.
+const BEYOND: f64 = 1.22;
 /// How far a Gaussian reaches from its middle, in deviations.
-const DEVIATIONS: f64 = 3.1;
+const DEVIATIONS: f64 = 3.28;
 /// How much farther each reaches because it is as wide as a pixel, in pixels.
-const OF_PIXEL: f64 = 1.2;
+const OF_PIXEL: f64 = 1.3;
 /// The longest edge of cells that are seen in place of their points, in pixels: of those that are
 /// not divided.
 const WIDEST_CELL: f64 = 2.0;

@@ -30,6 +30,12 @@ const SPREAD_ROWS: usize = 1 + 3 + 3 + 10;
 /// 64 pixels.
 const CUT_BYTES: usize = 1280 << 10;
 
+/// Memory for decoded runs is borrowed if no more than one part in so many of that of pages is.
+const KEPT_PART: u64 = 32;
+/// The same for what is seen from afar; and how much it is, or else.
+const FAR_PART: u64 = 8;
+const FAR_BYTES: [u64; 3] = [10 << 20, 5 << 20, 3 << 19];
+
 /// What the runs of a batch take of more columns than those of densities have.
 const MORE_COLUMNS_BYTES: usize = 32 << 10;
 
@@ -52,6 +58,17 @@ enum Room {
     None,
 }
 
+impl Room {
+    /// What becomes of it, if anything: it is asked for once, and given back when it is due.
+    fn after(&self, lend: impl FnOnce() -> Option<Loan>) -> Option<Self> {
+        match self {
+            Self::NotAsked => Some(lend().map_or(Self::None, Self::Lent)),
+            Self::Lent(loan) => loan.is_due().then_some(Self::None),
+            Self::None => None,
+        }
+    }
+}
+
 /// Scratch memory shared by all clouds of a thread.
 pub(in crate::trace) struct CloudScratch {
     batch: RunBatch,
@@ -62,6 +79,8 @@ pub(in crate::trace) struct CloudScratch {
     /// The same of what is seen from afar.
     spread: Vec<FieldSamples>,
     leaves: LeafCuts,
+    /// After what takes it.
+    far_room: Room,
     /// `None` until a cloud is seen from afar.
     far: Option<Box<FarScratch>>,
 }
@@ -85,6 +104,7 @@ impl CloudScratch {
             fields: Vec::new(),
             spread: Vec::new(),
             leaves: LeafCuts::default(),
+            far_room: Room::NotAsked,
             far: None,
         }
     }
@@ -92,14 +112,26 @@ impl CloudScratch {
     /// Borrows memory of the pages to keep decoded runs in, if there is much of it, or gives it
     /// back. To be called for each packet; it asks once.
     pub(in crate::trace) fn find_room(&mut self, access: Access<'_>) {
-        let lent = match &self.room {
-            Room::NotAsked => access.pages.lend(KEPT_BYTES as u64),
-            Room::Lent(loan) if loan.is_due() => None,
-            Room::Lent(_) | Room::None => return,
-        };
+        let Some(room) = self.room.after(|| access.pages.lend(KEPT_BYTES as u64, KEPT_PART)) else { return };
         // Before the old loan goes.
-        self.batch.set_room(lent.is_some());
-        self.room = lent.map_or(Room::None, Room::Lent);
+        self.batch.set_room(matches!(room, Room::Lent(..)));
+        self.room = room;
+    }
+
+    /// The same for what is seen of a cloud from afar, which takes long to make.
+    fn find_room_from_afar(&mut self, access: Access<'_>) {
+        // So much that there is as much for each thread.
+        let most = access.pages.share_bytes() / (FAR_PART * access.threads as u64);
+        let bytes = FAR_BYTES.into_iter().find(|&bytes| bytes <= most);
+        let lend = || bytes.and_then(|bytes| access.pages.lend(bytes, FAR_PART));
+        let Some(room) = self.far_room.after(lend) else { return };
+        let bytes = match &room {
+            Room::Lent(loan) => loan.bytes() as usize,
+            Room::NotAsked | Room::None => 0,
+        };
+        self.batch.set_room_from_afar(bytes - bytes / 3);
+        self.leaves.set_more(bytes / 3);
+        self.far_room = room;
     }
 }
 
@@ -173,6 +205,9 @@ impl CloudMarch {
         rays.become_rays(&self.packet, slab, live, (going, waiting));
         let (cloud, packet, sight) = (&volume.placement, &self.packet, self.sight.as_ref());
         let lod = volume.lod.as_deref();
+        if lod.is_some() && self.sight.is_some() {
+            scratch.find_room_from_afar(access);
+        }
         let number = volume.shading.number();
         let place = PacketInCloud { access, cloud, number, packet, rays, sight, lod };
         self.frontier.advance(place, slab, since, (&mut self.active, &mut scratch.leaves))?;

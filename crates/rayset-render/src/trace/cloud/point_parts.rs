@@ -6,6 +6,7 @@ use super::leaf_cut::Covers;
 use super::parts::Seen;
 use super::record_pages::RecordPages;
 use crate::field::PointParts;
+use crate::lod::LEAST_PART;
 use crate::trace::access::Halt;
 use rayset_files::octree::layout::RUN_POINTS;
 
@@ -46,6 +47,10 @@ pub(super) fn set_parts(
     let mut known = None;
     for i in 0..len {
         if !out.of_mass[i].is_nan() {
+            continue;
+        }
+        if f64::from(out.part[i]) <= LEAST_PART {
+            out.of_mass[i] = 0.0;
             continue;
         }
         // The smallest cell that it is in has others below it, or there is none.

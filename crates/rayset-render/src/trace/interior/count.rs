@@ -130,6 +130,7 @@ impl Counting {
             follows_lines: false,
             foresees: None,
             foreseen: &foreseen,
+            threads: 1,
             asked_bytes: &asked_bytes,
             sight: None,
             reuse: &reuse,

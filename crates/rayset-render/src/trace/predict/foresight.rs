@@ -106,7 +106,7 @@ impl Foresight {
     }
 
     /// Whether there is nothing to look ahead at.
-    pub(super) fn is_empty(&self) -> bool {
+    pub(in crate::trace) fn is_empty(&self) -> bool {
         self.clouds.is_empty() && self.grids.is_empty()
     }
 

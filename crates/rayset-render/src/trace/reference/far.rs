@@ -8,8 +8,8 @@ use std::ops::Range;
 
 use crate::field::Sight;
 use crate::lod::{
-    Absorber, ClusterCells, CrossSections, LEAST_PART, SPREAD, Seen, Sums, density_part, part_of_cell,
-    part_of_last_cell,
+    Absorber, ClusterCells, CrossSections, LEAST_PART, SPREAD, Seen, Sums, density_part, half_density,
+    part_of_cell, part_of_last_cell,
 };
 use crate::scene::{Camera, CloudObject};
 use rayset_base::geometry::{DMat3, DVec3, Ray, Shape, eigenvectors};
@@ -246,7 +246,8 @@ impl Far {
 
     fn density_part(&self, index: usize) -> f64 {
         let point = self.file.points[index];
-        density_part(point.radius, self.sight.pixel_at(point.position))
+        let half = half_density(self.object.cloud.header().shape.is_some());
+        density_part(point.radius, half * self.sight.pixel_at(point.position))
     }
 
     /// Adds clusters of points that follow each other.

@@ -48,9 +48,9 @@ const GRID_DETAIL: f64 = 2.0;
 /// Where points are seen from afar, steps are a fraction of no less than this many pixels: what is
 /// seen is as wide as a pixel.
 const PIXEL_DETAIL: f64 = 1.6;
-/// Points with a radius of more pixels ask for steps by themselves: of smaller ones, more than a
-/// third is seen as Gaussians.
-const SHARP: f64 = 1.5;
+/// Points with a radius of more pixels ask for steps by themselves: of smaller ones, at least
+/// 45 % is seen as Gaussians.
+const SHARP: f64 = 1.7;
 
 /// A sample within so many steps behind a boundary is lit at the boundary: it would otherwise
 /// shadow itself, to a degree that depends on how the lattice of samples happens to lie.
