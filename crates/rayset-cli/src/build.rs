@@ -11,6 +11,7 @@ use rayset::output::Destination;
 use rayset::points::ReadError;
 use rayset::volumes;
 
+use crate::aggregates::{self, AggregateArgs, Means};
 use crate::budget::{Budget, name_smallest_budget, name_smallest_grid_budget};
 use crate::build_parts::{self, PartArgs, PartOf, Work};
 use crate::option_args::{ChoiceArgs, OfBuild};
@@ -73,6 +74,8 @@ pub(crate) struct BuildArgs {
     #[arg(long)]
     temp_dir: Option<PathBuf>,
     #[command(flatten)]
+    aggregates: AggregateArgs,
+    #[command(flatten)]
     parts: PartArgs,
     /// Report as JSON
     #[arg(long)]
@@ -97,6 +100,9 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
         if args.parts.asked().is_some() {
             bail!("--part is for clouds; a grid is built by one process");
         }
+        if let Some(option) = args.aggregates.given() {
+            bail!("{option} is for clouds; grids have no aggregates");
+        }
         return build_grid(args, &inputs.paths);
     }
     let options = options(args)?;
@@ -115,7 +121,14 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
     let control = build::BuildControl::from(&meter as &dyn build::Progress).with_leaving_out(&leaves_out);
     let built = Cloud::builder().sources(sources).options(options).control(control).write(&args.output);
     meter.finish();
-    let built = built.map_err(|e| name_smallest_budget(e, budget(args)))?;
+    let mut built = built.map_err(|e| name_smallest_budget(e, budget(args)))?;
+    let means = Means {
+        budget: budget(args),
+        threads: args.threads,
+        temp_dir: args.temp_dir.clone(),
+        quiet: args.json,
+    };
+    aggregates::add(&args.output, &mut built, &args.aggregates, means)?;
     present(&args.output, &built, args.json)?;
     left_out.remark().into_iter().for_each(report::remark);
     Ok(())
@@ -143,6 +156,9 @@ fn open(
 
 /// Does a step of a part.
 fn run_part(args: &BuildArgs, part: PartOf, inputs: &Files, options: BuildOptions) -> Result<()> {
+    if let Some(option) = args.aggregates.given() {
+        bail!("parts make no aggregates; `rayset merge` does: give it {option}");
+    }
     let nothing = BuildOptions::default();
     let chosen = options.clone().with_memory_bytes(nothing.memory_bytes).with_threads(1).with_temp_dir(None);
     let said = format!("{chosen:?} {:?} {:?}", args.choices.0.attributes, args.choices.0.read_options());
@@ -268,12 +284,15 @@ pub(crate) struct Summary {
     page_bytes: u32,
     pages: u32,
     nodes: u64,
+    aggregates: u32,
+    aggregate_bytes: u64,
     position_error: f64,
     position_error_radii: f64,
     seconds: f64,
     read_seconds: f64,
     spacing_seconds: f64,
     write_seconds: f64,
+    aggregate_seconds: f64,
     points_per_second: f64,
     peak_rss_bytes: Option<u64>,
 }
@@ -285,9 +304,13 @@ impl Summary {
             let of_stage = built.times.iter().filter(|(s, _)| *s == stage);
             of_stage.map(|(_, t)| t.as_secs_f64()).sum::<f64>()
         };
-        let (read, spacing, write) =
-            (stage(build::Stage::Read), stage(build::Stage::Spacing), stage(build::Stage::Write));
-        let seconds = read + spacing + write;
+        let [read, spacing, write, aggregate] =
+            [build::Stage::Read, build::Stage::Spacing, build::Stage::Write, build::Stage::Aggregate]
+                .map(stage);
+        let seconds = read + spacing + write + aggregate;
+        let aggregate_pages = header.aggregates.as_ref().map_or(0, |aggregates| aggregates.pages);
+        let aggregate_bytes = u64::from(aggregate_pages) * u64::from(header.page_bytes);
+        let without_aggregates = header.file_bytes - aggregate_bytes;
         Self {
             points: built.points,
             copies: header.copies,
@@ -296,16 +319,19 @@ impl Summary {
             skipped_weight: built.skipped.weight,
             file_bytes: header.file_bytes,
             point_data_bytes: header.point_data_bytes,
-            index_fraction: 1.0 - header.point_data_bytes as f64 / header.file_bytes as f64,
+            index_fraction: 1.0 - header.point_data_bytes as f64 / without_aggregates as f64,
             page_bytes: header.page_bytes,
             pages: header.pages(),
             nodes: header.nodes,
+            aggregates: header.aggregates.as_ref().map_or(0, build::AggregateHeader::records),
+            aggregate_bytes,
             position_error: header.position_error,
             position_error_radii: header.position_error_radii,
             seconds,
             read_seconds: read,
             spacing_seconds: spacing,
             write_seconds: write,
+            aggregate_seconds: aggregate,
             points_per_second: built.points as f64 / seconds,
             peak_rss_bytes: peak_rss(),
         }
@@ -322,6 +348,14 @@ fn describe(output: &Path, built: &BuildReport) -> Result<()> {
         summary.pages,
         100.0 * summary.index_fraction
     ));
+    if summary.aggregates > 0 {
+        report::say(format_args!(
+            "{} aggregates, which stand for points from afar, are {:.1} % of the file ({})",
+            report::count(summary.aggregates.into()),
+            100.0 * summary.aggregate_bytes as f64 / summary.file_bytes as f64,
+            report::bytes(summary.aggregate_bytes)
+        ));
+    }
     if built.header.copies > 0 {
         report::say(format_args!(
             "{} more points were equal to one of these, and their weights are in its own",

@@ -63,7 +63,17 @@ pub(crate) struct Program<'a> {
 impl Program<'_> {
     /// One that shows no progress.
     pub(crate) fn quiet() -> Self {
-        Self { meter: Meter::new("", true), heard: None }
+        Self::showing(true)
+    }
+
+    /// One that shows progress, unless it is `hidden`.
+    pub(crate) fn showing(hidden: bool) -> Self {
+        Self { meter: Meter::new("", hidden), heard: None }
+    }
+
+    /// Clears what is shown of progress.
+    pub(crate) fn finish(&self) {
+        self.meter.finish();
     }
 }
 

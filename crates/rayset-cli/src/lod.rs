@@ -5,10 +5,11 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use rayset::build::{self, AggregateError, AggregateOptions, Progress, Stage};
+use rayset::build::{self, AggregateOptions, Progress, Stage};
 use rayset::scene::Kernel;
 use rayset::{CancelToken, Cloud};
 
+use crate::aggregates::name_smallest_budget;
 use crate::budget::Budget;
 use rayset_inputs::style::Style;
 use rayset_inputs::{Built, look, values};
@@ -83,17 +84,7 @@ pub(crate) fn run(args: &LodArgs) -> Result<()> {
     let progress = |done, total| meter.update(Stage::Aggregate, done, total);
     let made = build::add_aggregates(&args.cloud, output, &options, &progress, &CancelToken::new());
     meter.finish();
-    let made = made.map_err(|error| match error {
-        AggregateError::Memory { needed, .. } => {
-            let needed = budget.leaving(needed);
-            anyhow::anyhow!(
-                "--memory {} is too small; the smallest that would do is {needed} bytes ({})",
-                budget.in_words(),
-                report::bytes(needed)
-            )
-        }
-        other => other.into(),
-    })?;
+    let made = made.map_err(|error| name_smallest_budget(error, budget))?;
     let seconds = started.elapsed().as_secs_f64();
     present(output, &made, seconds, args.json)
 }

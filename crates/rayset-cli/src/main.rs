@@ -1,6 +1,7 @@
 //! `rayset`: ray-traces point clouds larger than memory, as volumes, inside a memory budget that
 //! holds.
 
+mod aggregates;
 mod annotate;
 mod budget;
 mod build;

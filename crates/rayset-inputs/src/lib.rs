@@ -5,6 +5,7 @@
 //! [`open()`] takes scenes, built clouds and grids, and files of points or voxels of any kind,
 //! folders and patterns among them. [`look`] makes a scene of a cloud or a grid by what is in it.
 
+mod aggregates;
 mod cache;
 mod choices;
 mod columns;
@@ -24,6 +25,7 @@ pub mod text;
 pub mod units;
 pub mod values;
 
+pub use self::aggregates::{Aggregating, MANY_POINTS, aggregate};
 pub use self::cache::{Cache, fingerprint};
 pub use self::choices::BuildChoices;
 pub use self::columns::{

@@ -7,8 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use rayset::build::{
-    self, AggregateError, AggregateOptions, BuildControl, BuildError, BuildOptions, GridBuildError,
-    GridBuildOptions, Progress, Stage,
+    self, AggregateError, BuildControl, BuildError, BuildOptions, GridBuildError, GridBuildOptions, Progress,
 };
 use rayset::output::OutputError;
 use rayset::points::ReadError;
@@ -16,6 +15,7 @@ use rayset::storage;
 use rayset::volumes;
 use rayset::{Cloud, Grid};
 
+use super::aggregates::{Aggregating, aggregate};
 use super::cache::{self, BuildTarget, Cache, Found, Name};
 use super::columns;
 use super::files::{self, Files};
@@ -23,9 +23,7 @@ use super::kinds::{self, Built};
 use super::magnitude;
 use super::sources::{Points, has_volume, open_points, remark_about};
 use crate::host::{Host, Remembering, Reported};
-use crate::look;
 use crate::speed::with_speeds;
-use crate::style::{LookName, Style};
 use crate::text;
 
 /// What an input is.
@@ -204,9 +202,6 @@ fn with(mut files: Vec<PathBuf>, built: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Of so many points and more, gas is seen from afar.
-const SEEN_FROM_AFAR: u64 = 200_000;
-
 /// Files that inputs pull in by themselves.
 #[derive(Default)]
 struct PulledIn {
@@ -292,40 +287,24 @@ impl Work<'_> {
         if skipped > 0 {
             self.said.remark(&format!("skipped {} invalid records", text::count(skipped)));
         }
-        if done.points >= SEEN_FROM_AFAR {
-            self.aggregate_gas(output, (memory, threads))?;
-        }
+        self.aggregate(output)?;
         Ok(pulled_in)
     }
 
-    /// Adds aggregates to a cloud that is shown as gas: each ray goes through all of it, and most
-    /// of the time of its pictures would go into points that are small beside a pixel.
-    fn aggregate_gas(&self, output: &Path, (memory, threads): (u64, usize)) -> Result<()> {
-        let cloud = Arc::new(Cloud::open(output)?);
-        let chosen = look::of_cloud(&cloud, &Style::default(), (64, 64));
-        let Some(chosen) = chosen.ok().filter(|chosen| chosen.look == LookName::Gas.name()) else {
-            return Ok(());
-        };
-        let (kernel, normalised) = chosen.kernel();
-        let options = AggregateOptions::default()
-            .with_kernel(kernel)
-            .with_normalised(normalised)
-            .with_memory_bytes(memory)
-            .with_threads(threads);
-        let host = self.resources.host;
-        let reported = Reported { host, unit: "points" };
-        let progress = |done, total| reported.update(Stage::Aggregate, done, total);
-        drop(cloud);
-        match build::add_aggregates(output, output, &options, &progress, &host.cancel()) {
+    /// Adds aggregates to a cloud that is shown as gas.
+    fn aggregate(&self, output: &Path) -> Result<()> {
+        let resources = Resources { host: &self.said, ..self.resources };
+        let Err(error) = aggregate(output, Aggregating::default(), resources, None) else { return Ok(()) };
+        match error.downcast::<AggregateError>() {
             // Pictures must not depend on memory.
-            Err(AggregateError::Memory { given, needed }) => Err(BuildError::Memory { given, needed }.into()),
-            Err(AggregateError::Cancelled) => Err(BuildError::Cancelled.into()),
-            Ok(_) | Err(AggregateError::Unsupported { .. }) => Ok(()),
-            Err(error) => {
+            Ok(AggregateError::Memory { given, needed }) => Err(BuildError::Memory { given, needed }.into()),
+            Ok(AggregateError::Cancelled) => Err(BuildError::Cancelled.into()),
+            Ok(error) => {
                 // The cloud is whole without.
                 self.said.remark(&format!("every point will be looked at: {error}"));
                 Ok(())
             }
+            Err(other) => Err(other),
         }
     }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::aggregates::AggregateArgs;
 use rayset_inputs::values;
 
 /// Join the parts of a picture, which `render --part` wrote, or of a cloud, which `build --part`
@@ -24,6 +25,8 @@ pub(crate) struct MergeArgs {
     /// Keep the parts of a cloud, which are removed once the file is whole
     #[arg(long)]
     pub(super) keep: bool,
+    #[command(flatten)]
+    pub(super) aggregates: AggregateArgs,
     /// Report on a cloud as JSON
     #[arg(long)]
     pub(super) json: bool,

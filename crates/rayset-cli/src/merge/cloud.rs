@@ -6,6 +6,7 @@ use anyhow::{Context, Result, ensure};
 use rayset::build::{BuildControl, BuildOptions, BuildParts, Progress};
 use rayset::output::Destination;
 
+use crate::aggregates::{self, AggregateArgs, Means};
 use crate::budget::{Budget, name_smallest_budget};
 use crate::build;
 use rayset_terminal::outputs::Outputs;
@@ -19,6 +20,7 @@ pub(super) struct Merge<'a> {
     pub(super) memory: u64,
     /// Whether the parts stay.
     pub(super) keep: bool,
+    pub(super) aggregates: &'a AggregateArgs,
     pub(super) json: bool,
 }
 
@@ -34,10 +36,12 @@ pub(super) fn run(job: &Merge<'_>) -> Result<()> {
     let control = BuildControl::from(&meter as &dyn Progress);
     let merged = parts.merge(job.output, &options, &control);
     meter.finish();
-    let merged = merged.map_err(|e| name_smallest_budget(e, budget))?;
+    let mut merged = merged.map_err(|e| name_smallest_budget(e, budget))?;
     if !job.keep {
         parts.remove()?;
     }
+    let means = Means { budget, threads: None, temp_dir: None, quiet: job.json };
+    aggregates::add(job.output, &mut merged, job.aggregates, means)?;
     build::present(job.output, &merged, job.json)
 }
 

@@ -22,11 +22,17 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
             output: &args.output,
             memory: args.memory,
             keep: args.keep,
+            aggregates: &args.aggregates,
             json: args.json,
         });
     }
     match start_of(first)? {
-        PART_MAGIC => picture::run(args),
+        PART_MAGIC => {
+            if let Some(option) = args.aggregates.given() {
+                bail!("{option} is for clouds, and these are parts of a picture");
+            }
+            picture::run(args)
+        }
         _ => {
             bail!(
                 "{}: byte 0: not a part; `rayset render --part` writes parts of pictures, `rayset build --part` folders of parts of clouds",

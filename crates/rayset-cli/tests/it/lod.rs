@@ -37,6 +37,45 @@ fn a_file_gains_aggregates_in_place_within_the_memory_that_is_named_and_renders_
 }
 
 #[test]
+fn gas_is_built_with_aggregates_whole_or_in_parts_and_other_clouds_if_that_is_asked() {
+    let folder = folder();
+    let f = folder.path();
+    let bytes = |file: &str| fs::read(f.join(file)).expect("a file");
+    succeeds(f, &["generate", "cube-200k", "-o", "gas.ply"]);
+    succeeds(f, &["build", "gas.ply", "-o", "without.rset", "--no-lod"]);
+    let built = run(f, &["build", "gas.ply", "-o", "c.rset", "--json"]);
+    let built: serde_json::Value = serde_json::from_slice(&built.stdout).expect("JSON");
+    assert_eq!(built["file_bytes"], bytes("c.rset").len());
+    let more = bytes("c.rset").len() - bytes("without.rset").len();
+    assert!(built["aggregates"].as_u64() > Some(1000), "{built}");
+    assert!(built["aggregate_bytes"].as_u64().is_some_and(|n| n <= more as u64 && 2 * n > more as u64));
+    succeeds(f, &["lod", "without.rset", "-o", "with.rset"]);
+    assert!(bytes("with.rset") == bytes("c.rset"), "not as `rayset lod` makes them");
+    for part in ["1/2", "2/2"].iter().cycle().take(16) {
+        succeeds(f, &["build", "gas.ply", "-o", "p.rset", "--part", part]);
+    }
+    succeeds(f, &["merge", "p.rset.parts", "-o", "p.rset", "--keep"]);
+    assert!(bytes("p.rset") == bytes("c.rset"), "not as those of a build by one process");
+    succeeds(f, &["merge", "p.rset.parts", "-o", "p.rset", "--no-lod"]);
+    assert!(bytes("p.rset") == bytes("without.rset"), "merged without");
+    let said = fails(f, &["build", "gas.ply", "-o", "p.rset", "--part", "1/2", "--lod"]);
+    assert!(said.contains("give it --lod"), "{said}");
+    // A surface has none unless it is asked for.
+    succeeds(f, &["generate", "sphere-20k", "-o", "s.ply"]);
+    succeeds(f, &["build", "s.ply", "-o", "plain.rset"]);
+    succeeds(f, &["build", "s.ply", "-o", "s.rset", "--lod"]);
+    assert!(bytes("plain.rset").len() < bytes("s.rset").len());
+    succeeds(f, &["lod", "plain.rset"]);
+    assert!(bytes("plain.rset") == bytes("s.rset"));
+    // Where memory is too little for them, a file does not silently lack them.
+    let said = fails(f, &["build", "gas.ply", "-o", "little.rset", "--memory", "24MiB", "--threads", "1"]);
+    assert!(said.contains("is built, but has no aggregates") && said.contains("smallest"), "{said}");
+    assert!(bytes("little.rset") == bytes("without.rset"));
+    let left = names(f).into_iter().find(|name| name.starts_with('.'));
+    assert_eq!(left, None, "something is left behind");
+}
+
+#[test]
 fn what_is_no_cloud_is_refused_by_name() {
     let folder = folder();
     let f = folder.path();

@@ -395,6 +395,60 @@ fn gas_shows_in_units_of_any_size() {
     }
 }
 
+/// A file of points in a box of 100, thin everywhere, with dense clumps of a size about some places.
+fn clumps(f: &Path, places: &[[f64; 3]], size: f64) {
+    let some = |i: u32, step: f64| (f64::from(i) * step).fract();
+    let thin = (0..4000).map(|i| [0.8191, 0.6711, 0.5498].map(|step| 100.0 * some(i, step)));
+    let dense = places.iter().flat_map(|place| {
+        (0..1500).map(move |i| {
+            let (turn, height) = (some(i, 0.618) * std::f64::consts::TAU, 2.0 * some(i, 0.7549) - 1.0);
+            let (level, reach) = ((1.0 - height * height).sqrt(), size * some(i, 0.5698).powf(1.5));
+            let toward = [level * turn.cos(), level * turn.sin(), height];
+            [0, 1, 2].map(|axis| place[axis] + reach * toward[axis])
+        })
+    });
+    let lines: String = thin.chain(dense).map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+    fs::write(f.join("gas.xyz"), lines).expect("a write");
+}
+
+#[test]
+fn haloes_far_smaller_than_their_box_glow_in_it_whatever_the_radii_in_their_middles() {
+    let folder = folder();
+    let f = folder.path();
+    let places = [[20.0, 30.0, 80.0], [70.0, 60.0, 20.0], [40.0, 80.0, 50.0]];
+    for size in [0.2, 2.0] {
+        clumps(f, &places, size);
+        succeeds(
+            f,
+            &["render", "gas.xyz", "-o", "a.png", "--size", "360x240", "--look", "gas", "--no-cache"],
+        );
+        let (_, _, pixels) = picture(&f.join("a.png"));
+        let mut reds: Vec<u8> = pixels.iter().map(|pixel| pixel[0]).collect();
+        reds.sort_unstable();
+        let (middle, brightest) = (reds[reds.len() / 2], reds[reds.len() - 4]);
+        assert!(middle < 40 && brightest > 70, "{size}: {middle}, {brightest}");
+    }
+}
+
+#[test]
+fn thin_gas_about_a_dense_middle_is_left_out_of_the_frame_but_not_a_box_in_which_clumps_are_everywhere() {
+    let folder = folder();
+    let f = folder.path();
+    let corners = [[5.0, 5.0, 5.0], [95.0, 95.0, 95.0], [5.0, 95.0, 50.0], [95.0, 5.0, 50.0]];
+    let far_from_middle = |places: &[[f64; 3]]| {
+        clumps(f, places, 3.0);
+        let render = ["render", "gas.xyz", "-o", "a.png", "--size", "48x32", "--no-cache"];
+        succeeds(f, &[&render[..], &["--look", "gas", "--write-scene", "s.json"]].concat());
+        let scene = fs::read_to_string(f.join("s.json")).expect("a scene");
+        let scene: serde_json::Value = serde_json::from_str(&scene).expect("JSON");
+        let of = |axis: usize| scene["camera"]["position"][axis].as_f64().expect("a number") - 50.0;
+        of(0).hypot(of(1)).hypot(of(2))
+    };
+    let (close, far) = (far_from_middle(&[[50.0; 3]]), far_from_middle(&corners));
+    // The box of 100 has to fit into a view of 35 degrees.
+    assert!(far > 200.0 && close < 0.5 * far, "{close}, {far}");
+}
+
 #[test]
 fn a_few_points_far_apart_are_seen() {
     let folder = folder();

@@ -19,6 +19,7 @@ use super::splats;
 use super::statistics::{Statistics, percentile};
 use super::turntable::Turntable;
 use super::view::{CameraChoice, Orientation};
+use crate::aggregates::MANY_POINTS;
 use crate::style::{Flag, LookName, Style, Words};
 
 /// A scene chosen for an input.
@@ -381,9 +382,6 @@ fn see_from_afar(cloud: &Cloud, style: &Style, scene: &mut Value) -> &'static st
     }
     "; small points are seen together (--lod off: each by itself)"
 }
-
-/// Of so many points and more, it is said that gas could be seen from afar.
-const MANY_POINTS: u64 = 200_000;
 
 /// What is said of gas that could be seen from afar.
 const NO_AGGREGATES: &str = "; every point is looked at: `rayset lod FILE` adds to a cloud file what makes pictures like this in a part of the time";

@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 
 use super::classes::class_name;
 use super::evidence::{class_column, fills_volume, intensity_column, varies, vertical};
+use super::gas::{self, Gas};
 use super::palettes;
 use super::splats::{STEP, filter_of};
 use super::statistics::{Statistics, percentile, range};
@@ -30,13 +31,6 @@ const DIM: f64 = 0.2;
 const LEAST_CLASS: f64 = 0.1;
 /// Fewer different intensities than these are no picture.
 const LEAST_INTENSITIES: usize = 32;
-
-/// Beyond these radii densities of numbers, their inverse cubes, are out of the range of transfer
-/// functions: molecules in metres, galaxies in kilometres.
-const NORMALISED_RADII: [f64; 2] = [1e-5, 1e5];
-
-/// Fewer points of gas that are seen than these say nothing of where it is.
-const LEAST_SEEN: usize = 200;
 
 /// What a surface is coloured by.
 #[derive(Clone, PartialEq)]
@@ -98,32 +92,20 @@ impl CloudLook {
         // Captures are shown as they were trained.
         let may_be_dark = paint == Paint::Points && name != LookName::Splats;
         let exposure = if may_be_dark { exposure_of(&statistics.brightnesses(header)) } else { 0.0 };
-        let is_normalised = !header.weight.is_stored()
-            && f64::from(header.radius.min()) > NORMALISED_RADII[0]
-            && f64::from(header.radius.max()) < NORMALISED_RADII[1];
+        let is_normalised = gas::is_normalised(cloud, &statistics);
         let filter = filter_of(&header.sources).filter(|_| name == LookName::Splats);
         Ok(Self { name, paint, orientation, statistics, is_normalised, filter, exposure, reason })
     }
 
     /// The points that the camera frames, each with its radius.
     pub(super) fn points(&self) -> Vec<(DVec3, f64)> {
-        let all: Vec<(DVec3, f64)> =
-            self.statistics.positions().zip(self.statistics.values("radius")).collect();
         let fades = self.name == LookName::Gas && self.paint != Paint::Points;
-        let seen = if fades { self.seen_of_gas() } else { Vec::new() };
-        if seen.len() < LEAST_SEEN { all } else { seen.into_iter().map(|i| all[i]).collect() }
+        let dense = if fades { self.as_gas().dense_points() } else { None };
+        dense.unwrap_or_else(|| self.statistics.positions().zip(self.statistics.values("radius")).collect())
     }
 
-    /// The points of gas that are dense enough to be seen, by their numbers in the sample; what is
-    /// thinner is black.
-    fn seen_of_gas(&self) -> Vec<usize> {
-        let densities = self.densities_of_points();
-        let mut sorted: Vec<f64> = densities.iter().map(|&(_, density)| density).collect();
-        sorted.sort_by(f64::total_cmp);
-        let (low, high) = (percentile(&sorted, 0.02), percentile(&sorted, 0.98));
-        // The place on the map whose opacity is a sixteenth of the largest.
-        let faint = low * (high / low.max(1e-300)).powf(0.3);
-        densities.iter().filter(|&&(_, density)| density >= faint).map(|&(i, _)| i).collect()
+    fn as_gas(&self) -> Gas<'_> {
+        Gas { statistics: &self.statistics, is_normalised: self.is_normalised }
     }
 
     /// The coordinate along the vertical.
@@ -135,7 +117,7 @@ impl CloudLook {
     pub(super) fn root(&self, cloud: &Cloud, file: &str) -> Value {
         let mut root = json!({"type": "cloud", "file": file});
         root["transferFunction"] = match self.name {
-            LookName::Gas => self.gas(),
+            LookName::Gas => self.as_gas().transfer_function(self.paint == Paint::Points),
             LookName::Density => json!({"opacity": "clamp", "color": self.color_value()}),
             LookName::Splats => json!({"opacity": {"extinction": 1}, "color": self.color_value()}),
             _ => self.painted(cloud.header()),
@@ -194,7 +176,7 @@ impl CloudLook {
     /// are not known.
     pub(super) fn sorted(&self, name: &str) -> Option<Vec<f64>> {
         match name {
-            "density" => (self.name == LookName::Gas).then(|| self.densities()),
+            "density" => (self.name == LookName::Gas).then(|| self.as_gas().densities()),
             // By custom another name of the vertical.
             "height" if self.statistics.sorted(name).is_empty() => Some(self.statistics.sorted("z")),
             _ => Some(self.statistics.sorted(name)),
@@ -205,7 +187,7 @@ impl CloudLook {
     pub(super) fn opacity_densities(&self) -> Vec<f64> {
         const BALL: f64 = 4.0 / 3.0 * std::f64::consts::PI;
         if self.name == LookName::Gas {
-            return self.densities();
+            return self.as_gas().densities();
         }
         let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
         // A point counts whole at its own place, and each other that it reaches by its kernel,
@@ -213,67 +195,6 @@ impl CloudLook {
         let reached = |i: usize, density: f64| density * BALL * radii[i].powi(3);
         let around = self.statistics.number_densities();
         around.iter().map(|&(i, density)| (1.0 + 0.2 * reached(i, density)) * weights[i]).collect()
-    }
-
-    /// The density of mass at points, or of numbers where points have no weights, ascending:
-    /// estimates.
-    fn densities(&self) -> Vec<f64> {
-        let mut densities: Vec<f64> =
-            self.densities_of_points().into_iter().map(|(_, density)| density).collect();
-        densities.sort_by(f64::total_cmp);
-        densities
-    }
-
-    /// The densities at points, with the numbers of these in the sample.
-    fn densities_of_points(&self) -> Vec<(usize, f64)> {
-        const BALL: f64 = 4.0 / 3.0 * std::f64::consts::PI;
-        let (weights, radii) = (self.statistics.values("weight"), self.statistics.values("radius"));
-        let around = self.statistics.number_densities();
-        // Points within a radius: few where radii were measured, dozens in simulations, none where
-        // points are alone.
-        let mut reached: Vec<f64> =
-            around.iter().map(|&(i, density)| density * BALL * radii[i].powi(3)).collect();
-        reached.sort_by(f64::total_cmp);
-        let reached = percentile(&reached, 0.5);
-        let alike = range(&self.statistics.sorted("radius"), 0.01);
-        let mut densities: Vec<(usize, f64)> = if !self.is_normalised {
-            // Each counts by its kernel, whose mean over its ball is about a fifth; at its middle
-            // it is 1.
-            weights.iter().map(|weight| (0.2 * reached).max(1.0) * weight).enumerate().collect()
-        } else if alike.1 < 1.2 * alike.0 {
-            around.iter().map(|&(i, density)| (i, density * weights[i])).collect()
-        } else {
-            let of = |(w, r): (&f64, &f64)| w * reached.max(5.0) / (BALL * r.powi(3));
-            weights.iter().zip(&radii).map(of).enumerate().collect()
-        };
-        densities.retain(|(_, density)| density.is_finite() && *density > 0.0);
-        densities
-    }
-
-    /// Colours and opacity by the logarithm of the density of mass, or of numbers where points have
-    /// no weights.
-    fn gas(&self) -> Value {
-        /// Points of the curves, evenly spaced in the logarithm.
-        const KNOTS: usize = 64;
-        let densities = self.densities();
-        let (low, high) = (percentile(&densities, 0.02).max(1e-17), percentile(&densities, 0.98).min(1e17));
-        let (low, high) = if high > 1.2 * low { (low, high) } else { (0.3 * low, 3.0 * low) };
-        let density = |t: f64| low * (high / low).powf(t);
-        let opacity: Vec<Value> = (0..=KNOTS)
-            .map(|i| i as f64 / KNOTS as f64)
-            .map(|t| json!([density(t), if t > 0.0 { 0.006 + 0.45 * t.powf(2.5) } else { 0.0 }]))
-            .collect();
-        let inferno = inferno_stops(KNOTS);
-        let color: Vec<Value> = (0..=KNOTS)
-            .map(|i| {
-                let t = i as f64 / KNOTS as f64;
-                json!([((density(t) - low) / (high - low)).clamp(0.0, 1.0), inferno[i]])
-            })
-            .collect();
-        if self.paint == Paint::Points {
-            return json!({"opacity": opacity, "color": "points"});
-        }
-        json!({"opacity": opacity, "color": color, "input": "density", "valueRange": [low, high]})
     }
 
     /// Lights, background and rendering settings.
@@ -288,7 +209,7 @@ impl CloudLook {
             LookName::Gas => {
                 scene["lights"] = json!("none");
                 scene["background"] = json!(NIGHT);
-                scene["rendering"]["unitDistance"] = json!(self.extent() / 60.0);
+                scene["rendering"]["unitDistance"] = json!(self.as_gas().unit_distance());
                 // Of what glows smoothly half as many samples make the same picture, to a step of a
                 // byte, in half the time.
                 scene["rendering"]["stepFraction"] = json!(0.5);
@@ -335,15 +256,6 @@ impl CloudLook {
             {"type": "headlight", "intensity": 0.3},
             {"type": "directional", "direction": sun, "intensity": 0.6, "shadow": false}
         ])
-    }
-
-    /// The length of the diagonal of what most points fill.
-    fn extent(&self) -> f64 {
-        let sides = ["x", "y", "z"].map(|axis| {
-            let (low, high) = range(&self.statistics.sorted(axis), 0.005);
-            high - low
-        });
-        sides.iter().map(|side| side * side).sum::<f64>().sqrt().max(1e-15)
     }
 
     /// `look: surface, points' colours, z up (map coordinates); …`
@@ -440,17 +352,4 @@ fn greys(sorted: &[f64]) -> Value {
     } else {
         json!([[0, "#1c1c1c"], [1, "#ffffff"]])
     }
-}
-
-/// Stops of the map `inferno`, as displayed.
-fn inferno_stops(count: usize) -> Vec<String> {
-    let map: Result<rayset::scene::NamedPalette, _> = "inferno".parse();
-    (0..=count)
-        .map(|i| {
-            let at = i as f64 / count as f64;
-            let color = map.as_ref().map_or([at; 3], |map| map.display_color(at));
-            let [red, green, blue] = color.map(|v| (v * 255.0).round() as u8);
-            format!("#{red:02x}{green:02x}{blue:02x}")
-        })
-        .collect()
 }

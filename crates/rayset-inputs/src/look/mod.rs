@@ -10,6 +10,7 @@ mod classes;
 mod cloud;
 mod evidence;
 mod framing;
+mod gas;
 mod grid;
 mod labels;
 mod palettes;

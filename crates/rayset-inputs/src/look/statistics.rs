@@ -49,6 +49,11 @@ impl Statistics {
         (0..batch.len()).map(move |i| batch.columns[column].get(i) * scale)
     }
 
+    /// About how many points the cloud has.
+    pub(super) fn points(&self) -> f64 {
+        self.sample.batch.len() as f64 * self.sample.stride as f64
+    }
+
     pub(super) fn positions(&self) -> impl Iterator<Item = DVec3> + '_ {
         self.sample.batch.position.iter().map(|&p| DVec3::from_array(p))
     }

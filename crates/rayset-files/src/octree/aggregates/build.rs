@@ -4,7 +4,7 @@
 //! them; the caller's thread merges what they find, node by node, and hands the records of each
 //! level on.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::cells::{Cells, OwnPoints};
 use super::density::{CloudPages, Field};
@@ -12,6 +12,7 @@ use super::error::AggregateError;
 use super::header::LEVELS;
 use super::histogram::{Masses, half_octave};
 use super::moments::Moments;
+use super::near_points::NearPoints;
 use super::options::AggregateOptions;
 use super::places::{PLACES, UnitPlaces};
 use super::points::{Decoder, Points};
@@ -45,6 +46,8 @@ pub(super) struct Maker<'a> {
     pub(super) options: &'a AggregateOptions,
     pub(super) threads: usize,
     pub(super) records: RecordMaker,
+    /// Those that no thread uses.
+    pub(super) near: Mutex<Vec<NearPoints>>,
     pub(super) progress: &'a (dyn Fn(u64) + Sync),
 }
 
@@ -113,8 +116,9 @@ impl Maker<'_> {
         };
         let mut points = Points::default();
         let mut measured = Measured::of(node);
+        let mut near = self.lock_near().pop().unwrap_or_default();
         let mut own = |points: &mut Points| -> Result<(), AggregateError> {
-            let half_octaves = measured.half_octaves(&field, &unit, points)?;
+            let half_octaves = measured.half_octaves((&field, &mut near), &unit, points)?;
             let densities = masses(points, &half_octaves);
             let own = OwnPoints {
                 points,
@@ -146,7 +150,12 @@ impl Maker<'_> {
         if points.len() > 0 {
             own(&mut points)?;
         }
+        self.lock_near().push(near);
         Ok(all)
+    }
+
+    fn lock_near(&self) -> MutexGuard<'_, Vec<NearPoints>> {
+        self.near.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -178,7 +187,7 @@ impl Measured {
     /// measured, as in the one before them.
     fn half_octaves(
         &mut self,
-        field: &Field<'_>,
+        (field, near): (&Field<'_>, &mut NearPoints),
         unit: &UnitPlaces,
         points: &Points,
     ) -> Result<Vec<Option<i32>>, AggregateError> {
@@ -187,7 +196,7 @@ impl Measured {
         let chosen = (0..points.len()).filter(|&index| is_measured(index));
         chosen.for_each(|index| unit.append(points, index, &mut places));
         let mut densities = vec![0.0; places.len()];
-        field.densities(&places, self.alike, &mut densities)?;
+        field.densities(&places, self.alike, near, &mut densities)?;
         let mut found = densities.chunks_exact(PLACES);
         let mut half_octaves = Vec::with_capacity(PLACES * points.len());
         for index in 0..points.len() {

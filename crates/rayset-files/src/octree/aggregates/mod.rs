@@ -7,7 +7,7 @@
 //! the mean of g(D)/D over the mass, times the mass, for any g.
 //!
 //! [`add_to_file`] makes them of a finished file, in bounded memory (`build`): own points of nodes
-//! (`points`) are measured (`places`, `density`), leaves are divided into `cells`, and sums of all
+//! (`points`) are measured (`places`, `density`, `near_points`), leaves are divided into `cells`, and sums of all
 //! (`moments`, `histogram`) become a `record` each (`records`, `scale`). They are kept (`store`)
 //! until all are known, and written into a file (`write`), of which `header` says what it has; or
 //! compared with those of a file (`compare`).
@@ -20,6 +20,7 @@ mod error;
 pub mod header;
 mod histogram;
 mod moments;
+mod near_points;
 mod options;
 pub mod page;
 mod places;
@@ -32,8 +33,8 @@ mod write;
 
 use std::io::{BufWriter, Write};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 
 use self::build::Maker;
 use self::compare::Comparison;
@@ -140,6 +141,7 @@ fn make(
                 classes: header.attributes.iter().map(|attribute| attribute.is_class).collect(),
             },
         },
+        near: Mutex::default(),
         progress: &|points| {
             let done = done.fetch_add(points, Ordering::Relaxed) + points;
             progress(done, header.points);

@@ -111,6 +111,24 @@ impl Points {
         }
     }
 
+    /// The map from places relative to a point to its unit ball; of balls none is needed.
+    pub(super) fn unit_from_local(&self, index: usize) -> Option<DMat3> {
+        let shape = self.shape.get(index)?;
+        Some(shape.unit_from_local() * self.radius[index].recip())
+    }
+
+    /// x² of a place in a point.
+    pub(super) fn square(&self, index: usize, place: DVec3) -> f64 {
+        let offset = place - self.position[index];
+        match self.unit_from_local(index) {
+            Some(map) => (map * offset).length_squared(),
+            None => {
+                let inverse = self.radius[index].recip();
+                offset.length_squared() * (inverse * inverse)
+            }
+        }
+    }
+
     /// R diag(s²) Rᵀ: of a kernel of variance 1 over the unit ball, the covariance in space.
     pub(super) fn extent(&self, index: usize) -> DMat3 {
         let radius = self.radius[index];
