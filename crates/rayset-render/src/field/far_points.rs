@@ -78,9 +78,9 @@ impl DecodedRun {
         &self.points.radius
     }
 
-    /// Leaves of a run's points, as they are decoded for a field of densities, what is a density of
-    /// them.
-    pub(crate) fn fade_points(&mut self, parts: &PointParts, sight: &Sight, simd: SimdLevel) {
+    /// Leaves of a run's points, as they are decoded for a field of densities and samples that are
+    /// at least `step` apart, what is a density of them.
+    pub(crate) fn fade_points(&mut self, parts: &PointParts, sight: &Sight, (step, simd): (f64, SimdLevel)) {
         let mut stay = [0; 2];
         dispatch!(simd.level(), _simd => {
             let pixels = Footprints::new(sight, sight.pixel, self).squared;
@@ -89,8 +89,11 @@ impl DecodedRun {
         });
         self.leave(stay);
         let radius = &self.points.radius[..self.len];
-        let least = radius.iter().copied().fold(f32::INFINITY, f32::min) * 0.9999;
-        dispatch!(simd.level(), token => self.bound_again(token, least));
+        let least = radius.iter().copied().fold(f32::INFINITY, f32::min);
+        if !self.has_shapes() {
+            self.narrow(f64::from(least), step);
+        }
+        dispatch!(simd.level(), token => self.bound_again(token, least * 0.9999));
     }
 
     /// Leaves the points whose bits are set.

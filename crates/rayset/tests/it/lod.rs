@@ -16,8 +16,8 @@ use rayset::scene::{
     Camera, CloudObject, ColorMap, ColorRule, Lighting, Lod, MapInput, OpacityRule, Projection, Samples,
     Scene, Step, TransferFunction,
 };
-use rayset::trace::ExecSettings;
 use rayset::trace::reference::far::{Far, opacities};
+use rayset::trace::{ExecSettings, render_once};
 
 use crate::common::{Random, bits, build_at, folder, mixed_points, paged, picture, scene_of, settings};
 
@@ -218,6 +218,35 @@ fn points_of_two_pixels_and_more_are_seen_as_without_level_of_detail() {
         )
     };
     assert!(with(Lod::AUTO) == with(Lod::Off));
+}
+
+/// Specks beside large points ask for double precision only until they are left out of the densities:
+/// what is left is decoded once, and not for each slab that it reaches.
+#[test]
+fn runs_whose_specks_are_seen_from_afar_are_decoded_once() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let mut random = Random(3);
+    let mut place = |size: f64| [0; 3].map(|_| size * (2.0 * random.unit() - 1.0));
+    let (mut positions, mut radii) = (Vec::new(), Vec::new());
+    for _ in 0..6000 {
+        let (large, off) = (place(1.0), place(1e-3));
+        positions.extend([large, [0, 1, 2].map(|axis| large[axis] + off[axis])]);
+        radii.extend([0.15_f32, 1e-4]);
+    }
+    let source = ArraySource::new(positions, vec![("radius", radii)]);
+    let cloud = build_at(&path, Box::new(source), &BuildOptions::default());
+    add(&path);
+    let runs = cloud.header().points.div_ceil(128);
+    let (mut object, camera) = seen_from(&path, 3.0);
+    object.transfer.opacity = OpacityRule::Extinction(0.05);
+    let scene = Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object) };
+    let settings = settings(32, 32).with_lod(Lod::Footprint(1.0));
+    let exec = ExecSettings { threads: 1, ..ExecSettings::default() };
+    let (_, counts) =
+        render_once(&scene, &camera, &settings, &exec, &paged(&scene, 1 << 30)).expect("a picture");
+    let decoded = counts.runs;
+    assert!(decoded <= 4 * runs, "{decoded} for {runs}");
 }
 
 #[test]

@@ -138,7 +138,7 @@ impl Gathering<'_> {
                         let root = (cloud.root_cell.min, cloud.root_cell.size);
                         out.spread_points(&seen.lod.decoder, far, root, (sight, simd));
                     }
-                    _ => out.fade_points(&far.parts, sight, simd),
+                    _ => out.fade_points(&far.parts, sight, (step, simd)),
                 }
                 Ok(())
             })

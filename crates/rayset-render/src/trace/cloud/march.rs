@@ -33,8 +33,8 @@ const CUT_BYTES: usize = 1280 << 10;
 /// Memory for decoded runs is borrowed if no more than one part in so many of that of pages is.
 const KEPT_PART: u64 = 32;
 /// The same for what is seen from afar; and how much it is, or else.
-const FAR_PART: u64 = 8;
-const FAR_BYTES: [u64; 3] = [10 << 20, 5 << 20, 3 << 19];
+const FAR_PART: u64 = 4;
+const FAR_BYTES: [u64; 4] = [24 << 20, 10 << 20, 5 << 20, 3 << 19];
 
 /// What the runs of a batch take of more columns than those of densities have.
 const MORE_COLUMNS_BYTES: usize = 32 << 10;
