@@ -61,12 +61,8 @@ pub(crate) fn add(output: &Path, built: &mut BuildReport, args: &AggregateArgs, 
     let resources = Resources { memory: means.budget.left(), threads: means.threads, host: &program };
     let made = aggregate(output, args.wanted(), resources, means.temp_dir);
     program.finish();
-    let built_without = || {
-        format!(
-            "{} is built, but has no aggregates; `rayset lod` adds them, and --no-lod makes none",
-            output.display()
-        )
-    };
+    let built_without =
+        || format!("{} is built, but has no aggregates, which `rayset lod` adds", output.display());
     if made.map_err(|error| named(error, means.budget)).with_context(built_without)?.is_some() {
         built.times.push((Stage::Aggregate, started.elapsed()));
         built.header = Cloud::open(output)?.header().clone();

@@ -128,10 +128,11 @@ pub(crate) fn run(args: &BuildArgs) -> Result<()> {
         temp_dir: args.temp_dir.clone(),
         quiet: args.json,
     };
-    aggregates::add(&args.output, &mut built, &args.aggregates, means)?;
+    let aggregated = aggregates::add(&args.output, &mut built, &args.aggregates, means);
+    // What was built is told in any case.
     present(&args.output, &built, args.json)?;
     left_out.remark().into_iter().for_each(report::remark);
-    Ok(())
+    aggregated
 }
 
 fn budget(args: &BuildArgs) -> Budget {
@@ -157,7 +158,7 @@ fn open(
 /// Does a step of a part.
 fn run_part(args: &BuildArgs, part: PartOf, inputs: &Files, options: BuildOptions) -> Result<()> {
     if let Some(option) = args.aggregates.given() {
-        bail!("parts make no aggregates; `rayset merge` does: give it {option}");
+        bail!("{option} is for `rayset merge`, which makes the file, and its aggregates");
     }
     let nothing = BuildOptions::default();
     let chosen = options.clone().with_memory_bytes(nothing.memory_bytes).with_threads(1).with_temp_dir(None);

@@ -41,6 +41,17 @@ pub trait Host: Sync {
     fn writes(&self, output: &Path, inputs: &[PathBuf]) -> Result<()>;
 }
 
+/// The resources that building may use.
+#[derive(Clone, Copy)]
+pub struct Resources<'a> {
+    /// Most bytes that a build allocates.
+    pub memory: u64,
+    /// As many as there are processors if `None`.
+    pub threads: Option<usize>,
+    /// Who asks.
+    pub host: &'a dyn Host,
+}
+
 /// A folder that is removed when this is dropped.
 pub trait TemporaryFolder: Send + Sync {
     /// Where it is.

@@ -25,7 +25,7 @@ pub mod text;
 pub mod units;
 pub mod values;
 
-pub use self::aggregates::{Aggregating, MANY_POINTS, aggregate};
+pub use self::aggregates::{Aggregating, aggregate};
 pub use self::cache::{Cache, fingerprint};
 pub use self::choices::BuildChoices;
 pub use self::columns::{
@@ -33,10 +33,10 @@ pub use self::columns::{
     wanted as wanted_columns,
 };
 pub use self::files::{Files, expand};
-pub use self::host::{Host, TemporaryFolder, stage_name};
+pub use self::host::{Host, Resources, TemporaryFolder, stage_name};
 pub use self::kinds::{Built, is_built, is_scene, open_built};
 pub use self::left_out::LeftOut;
-pub use self::open::{Input, Opened, Resources, open};
+pub use self::open::{Input, Opened, open};
 pub use self::pixels::Pixels;
 pub use self::sources::{Points, has_volume, open_points, remark_about};
 pub use self::speed::with_speeds;

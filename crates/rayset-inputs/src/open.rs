@@ -22,7 +22,7 @@ use super::files::{self, Files};
 use super::kinds::{self, Built};
 use super::magnitude;
 use super::sources::{Points, has_volume, open_points, remark_about};
-use crate::host::{Host, Remembering, Reported};
+use crate::host::{Host, Remembering, Reported, Resources};
 use crate::speed::with_speeds;
 use crate::text;
 
@@ -44,17 +44,6 @@ pub struct Opened {
     pub files: Vec<PathBuf>,
     /// Removed with this, if nothing is kept.
     _place: Option<BuildTarget>,
-}
-
-/// The resources that building may use.
-#[derive(Clone, Copy)]
-pub struct Resources<'a> {
-    /// Most bytes that a build allocates.
-    pub memory: u64,
-    /// As many as there are processors if `None`.
-    pub threads: Option<usize>,
-    /// Who asks.
-    pub host: &'a dyn Host,
 }
 
 /// Opens inputs: one scene, one cloud or grid file, one volume, or any number of files of points,

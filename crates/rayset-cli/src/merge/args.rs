@@ -8,7 +8,8 @@ use crate::aggregates::AggregateArgs;
 use rayset_inputs::values;
 
 /// Join the parts of a picture, which `render --part` wrote, or of a cloud, which `build --part`
-/// made, to the very file that one `render` or `build` writes.
+/// made, to the very file that one `render` or `build` writes: for that, --lod and --no-lod are
+/// given here.
 ///
 /// All parts have to be there, once, and of one picture or cloud; the input need not.
 #[derive(Args)]

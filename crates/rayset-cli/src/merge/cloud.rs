@@ -41,8 +41,9 @@ pub(super) fn run(job: &Merge<'_>) -> Result<()> {
         parts.remove()?;
     }
     let means = Means { budget, threads: None, temp_dir: None, quiet: job.json };
-    aggregates::add(job.output, &mut merged, job.aggregates, means)?;
-    build::present(job.output, &merged, job.json)
+    let aggregated = aggregates::add(job.output, &mut merged, job.aggregates, means);
+    build::present(job.output, &merged, job.json)?;
+    aggregated
 }
 
 /// Refuses an output among the parts: they are read for it, and the folder is removed once it is

@@ -59,7 +59,7 @@ fn gas_is_built_with_aggregates_whole_or_in_parts_and_other_clouds_if_that_is_as
     succeeds(f, &["merge", "p.rset.parts", "-o", "p.rset", "--no-lod"]);
     assert!(bytes("p.rset") == bytes("without.rset"), "merged without");
     let said = fails(f, &["build", "gas.ply", "-o", "p.rset", "--part", "1/2", "--lod"]);
-    assert!(said.contains("give it --lod"), "{said}");
+    assert!(said.contains("--lod is for `rayset merge`"), "{said}");
     // A surface has none unless it is asked for.
     succeeds(f, &["generate", "sphere-20k", "-o", "s.ply"]);
     succeeds(f, &["build", "s.ply", "-o", "plain.rset"]);

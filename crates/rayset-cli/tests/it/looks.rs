@@ -395,19 +395,26 @@ fn gas_shows_in_units_of_any_size() {
     }
 }
 
-/// A file of points in a box of 100, thin everywhere, with dense clumps of a size about some places.
-fn clumps(f: &Path, places: &[[f64; 3]], size: f64) {
+/// A file of points in a box of 100, thin everywhere, with dense clumps of a size about some
+/// places, and others.
+fn clumps(f: &Path, places: &[[f64; 3]], size: f64, others: &[[f64; 3]]) {
+    clumps_of(f, places, size, 4000, others);
+}
+
+/// The same of so many thin points.
+fn clumps_of(f: &Path, places: &[[f64; 3]], size: f64, count: u32, others: &[[f64; 3]]) {
     let some = |i: u32, step: f64| (f64::from(i) * step).fract();
-    let thin = (0..4000).map(|i| [0.8191, 0.6711, 0.5498].map(|step| 100.0 * some(i, step)));
+    let thin = (0..count).map(|i| [0.819_172_5, 0.671_043_6, 0.549_700_5].map(|step| 100.0 * some(i, step)));
     let dense = places.iter().flat_map(|place| {
-        (0..1500).map(move |i| {
+        (0..3 * count / 8).map(move |i| {
             let (turn, height) = (some(i, 0.618) * std::f64::consts::TAU, 2.0 * some(i, 0.7549) - 1.0);
             let (level, reach) = ((1.0 - height * height).sqrt(), size * some(i, 0.5698).powf(1.5));
             let toward = [level * turn.cos(), level * turn.sin(), height];
             [0, 1, 2].map(|axis| place[axis] + reach * toward[axis])
         })
     });
-    let lines: String = thin.chain(dense).map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+    let all = thin.chain(dense).chain(others.iter().copied());
+    let lines: String = all.map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
     fs::write(f.join("gas.xyz"), lines).expect("a write");
 }
 
@@ -416,8 +423,9 @@ fn haloes_far_smaller_than_their_box_glow_in_it_whatever_the_radii_in_their_midd
     let folder = folder();
     let f = folder.path();
     let places = [[20.0, 30.0, 80.0], [70.0, 60.0, 20.0], [40.0, 80.0, 50.0]];
-    for size in [0.2, 2.0] {
-        clumps(f, &places, size);
+    let stray = [[3e4, 0.0, 0.0]];
+    for (size, others) in [(0.2, &[][..]), (2.0, &[]), (2.0, &stray)] {
+        clumps(f, &places, size, others);
         succeeds(
             f,
             &["render", "gas.xyz", "-o", "a.png", "--size", "360x240", "--look", "gas", "--no-cache"],
@@ -426,8 +434,47 @@ fn haloes_far_smaller_than_their_box_glow_in_it_whatever_the_radii_in_their_midd
         let mut reds: Vec<u8> = pixels.iter().map(|pixel| pixel[0]).collect();
         reds.sort_unstable();
         let (middle, brightest) = (reds[reds.len() / 2], reds[reds.len() - 4]);
-        assert!(middle < 40 && brightest > 70, "{size}: {middle}, {brightest}");
+        assert!(middle < 40 && brightest > 70, "{size} {others:?}: {middle}, {brightest}");
     }
+}
+
+/// The scene of a file as gas.
+fn scene_of_gas(f: &Path, file: &str) -> serde_json::Value {
+    let render = ["render", file, "-o", "a.png", "--size", "48x32", "--no-cache"];
+    succeeds(f, &[&render[..], &["--look", "gas", "--write-scene", "s.json"]].concat());
+    let scene = fs::read_to_string(f.join("s.json")).expect("a scene");
+    serde_json::from_str(&scene).expect("JSON")
+}
+
+/// A cloud is sampled by its pages, and columns of a gas are counted along its axes.
+#[test]
+fn how_opaque_gas_is_depends_neither_on_pages_nor_on_axes() {
+    let folder = folder();
+    let f = folder.path();
+    // Flat: seen along one axis it is long, along the others short.
+    let places =
+        [0, 1, 2, 3, 4, 5, 6, 7].map(|i| [50.0, 10.0 + 11.0 * f64::from(i), 90.0 - 9.0 * f64::from(i)]);
+    clumps_of(f, &places, 3.0, 100_000, &[]);
+    let unit = |file: &str| scene_of_gas(f, file)["rendering"]["unitDistance"].as_f64().expect("a number");
+    let build = |points: &str, file: &str, page: &str| {
+        let build = ["build", points, "--precision", "exact", "--no-lod", "-o", file, "--page-size", page];
+        succeeds(f, &build);
+    };
+    build("gas.xyz", "small.rset", "16384");
+    build("gas.xyz", "large.rset", "262144");
+    let (small, large) = (unit("small.rset"), unit("large.rset"));
+    // Of many pages a sample has a few, in which fewer of the places lie.
+    assert!((0.85..1.3).contains(&(small / large)), "{small} with many pages, {large} with few");
+    let points = fs::read_to_string(f.join("gas.xyz")).expect("points");
+    let turned: String = points
+        .lines()
+        .map(|line| line.split(' ').collect::<Vec<_>>())
+        .map(|of| format!("{} {} {}\n", of[2], of[0], of[1]))
+        .collect();
+    fs::write(f.join("turned.xyz"), turned).expect("a write");
+    build("turned.xyz", "turned.rset", "262144");
+    let turned = unit("turned.rset");
+    assert!((turned / large - 1.0).abs() < 0.05, "{turned} along other axes, {large} before");
 }
 
 #[test]
@@ -436,11 +483,8 @@ fn thin_gas_about_a_dense_middle_is_left_out_of_the_frame_but_not_a_box_in_which
     let f = folder.path();
     let corners = [[5.0, 5.0, 5.0], [95.0, 95.0, 95.0], [5.0, 95.0, 50.0], [95.0, 5.0, 50.0]];
     let far_from_middle = |places: &[[f64; 3]]| {
-        clumps(f, places, 3.0);
-        let render = ["render", "gas.xyz", "-o", "a.png", "--size", "48x32", "--no-cache"];
-        succeeds(f, &[&render[..], &["--look", "gas", "--write-scene", "s.json"]].concat());
-        let scene = fs::read_to_string(f.join("s.json")).expect("a scene");
-        let scene: serde_json::Value = serde_json::from_str(&scene).expect("JSON");
+        clumps(f, places, 3.0, &[]);
+        let scene = scene_of_gas(f, "gas.xyz");
         let of = |axis: usize| scene["camera"]["position"][axis].as_f64().expect("a number") - 50.0;
         of(0).hypot(of(1)).hypot(of(2))
     };

@@ -84,8 +84,10 @@ fn every_number_of_rays_that_may_be_asked_for_may_stand_in_a_scene() {
     let f = folder.path();
     write_points(&f.join("points.txt"));
     let mut pictures = Vec::new();
-    for samples in ["--samples=auto", "--samples=2", "--samples=64"] {
-        let plain = ["render", "points.txt", "-o", "a.png", "--size", "12x9", "--write-scene", "s.json"];
+    for (samples, size) in
+        [("--samples=auto", "160x120"), ("--samples=2", "160x120"), ("--samples=64", "12x9")]
+    {
+        let plain = ["render", "points.txt", "-o", "a.png", "--size", size, "--write-scene", "s.json"];
         succeeds(f, &[&plain[..], &[samples, "--look=gas", "--exposure=2"]].concat());
         succeeds(f, &["render", "s.json", "-o", "b.png"]);
         let said = fs::read(f.join("a.png")).expect("a picture");

@@ -19,7 +19,6 @@ use super::splats;
 use super::statistics::{Statistics, percentile};
 use super::turntable::Turntable;
 use super::view::{CameraChoice, Orientation};
-use crate::aggregates::MANY_POINTS;
 use crate::style::{Flag, LookName, Style, Words};
 
 /// A scene chosen for an input.
@@ -382,6 +381,10 @@ fn see_from_afar(cloud: &Cloud, style: &Style, scene: &mut Value) -> &'static st
     }
     "; small points are seen together (--lod off: each by itself)"
 }
+
+/// Of so many points and more, gas is seen from afar: each ray goes through all of it, and most of
+/// the time of its pictures would go into points that are small beside a pixel.
+pub const MANY_POINTS: u64 = 200_000;
 
 /// What is said of gas that could be seen from afar.
 const NO_AGGREGATES: &str = "; every point is looked at: `rayset lod FILE` adds to a cloud file what makes pictures like this in a part of the time";

@@ -11,8 +11,8 @@ use super::statistics::{Statistics, percentile, range};
 /// If the radii of most points are beyond these, densities of numbers, their inverse cubes, are out
 /// of the range of transfer functions: molecules in metres, galaxies in kilometres.
 const NORMALISED_RADII: [f64; 2] = [1e-5, 1e5];
-/// Inverse cubes of radii beyond these are near the ends of the range of densities.
-const EXTREME_RADII: [f64; 2] = [1e-11, 1e11];
+/// Inverse cubes of radii beyond these are out of the range of densities.
+const EXTREME_RADII: [f64; 2] = [1e-10, 1e10];
 
 /// Fewer points that are seen than these say nothing of where a gas is.
 const LEAST_SEEN: usize = 200;
@@ -24,8 +24,15 @@ const MUCH_SMALLER: f64 = 0.7;
 const KNOTS: usize = 64;
 /// Cells along each axis in which places of a gas are counted.
 const CELLS: f64 = 32.0;
+/// What lies beyond the middle of all but such a part at either end may be astray.
+const ASTRAY: f64 = 0.005;
 /// The optical depth, at least, of what is densest.
-const DENSEST_DEPTH: f64 = 0.35;
+const DENSEST_DEPTH: f64 = 0.6;
+/// Opacities refer to no less than such a part of what they do where nothing is small: those of
+/// thin gas would be nothing in single precision.
+const LEAST_OF_WHOLE: f64 = 1e-3;
+/// The least unit distance of scenes is shorter.
+const SHORTEST: f64 = 1e-17;
 
 const BALL: f64 = 4.0 / 3.0 * std::f64::consts::PI;
 
@@ -69,7 +76,7 @@ impl Gas<'_> {
         // The place on the map whose opacity is a sixteenth of the largest.
         let faint = low * (high / low.max(1e-300)).powf(0.3);
         let dense: Vec<Place> = places.iter().filter(|place| place.density >= faint).copied().collect();
-        let is_much_smaller = longest_side(&dense) < MUCH_SMALLER * longest_side(&places);
+        let is_much_smaller = Extent::of(&dense).longest() < MUCH_SMALLER * Extent::of(&places).longest();
         (dense.len() >= LEAST_SEEN && is_much_smaller)
             .then(|| dense.iter().map(|place| (place.position, place.radius)).collect())
     }
@@ -91,8 +98,10 @@ impl Gas<'_> {
             around.iter().map(|&(i, numbers)| numbers * BALL * radii[i].powi(3)).collect();
         reached.sort_by(f64::total_cmp);
         let reached = percentile(&reached, 0.5);
-        let alike = range(&self.statistics.sorted("radius"), 0.01);
-        let numbers: Vec<(usize, f64)> = if alike.1 < 1.2 * alike.0 {
+        let sorted = self.statistics.sorted("radius");
+        let are_alike = percentile(&sorted, 0.99) < 1.2 * percentile(&sorted, 0.01);
+        // Where radii say nothing, some points are asked for their neighbours.
+        let numbers: Vec<(usize, f64)> = if self.is_normalised && are_alike && !around.is_empty() {
             around.to_vec()
         } else {
             radii.iter().map(|r| reached.max(5.0) / (BALL * r.powi(3))).enumerate().collect()
@@ -171,11 +180,12 @@ impl Gas<'_> {
             largest = f64::max(largest, *extinction);
             *extinction = largest;
         }
-        let unit_distance = whole.min(-(1.0 - faint_to_opaque(1.0)).ln() / largest);
+        let shortened = -(1.0 - faint_to_opaque(1.0)).ln() / largest;
+        let unit_distance = shortened.clamp(LEAST_OF_WHOLE * whole, whole).max(SHORTEST);
         let opacity = |knot: usize| match extinctions[knot] {
             // What has no density is not seen.
             _ if knot == 0 => 0.0,
-            extinction => 1.0 - (-extinction * unit_distance).exp(),
+            extinction => -(-extinction * unit_distance).exp_m1(),
         };
         let curve = (0..=KNOTS).map(|knot| [density(at(knot)), opacity(knot)]).collect();
         Opacities { low, high, curve, unit_distance }
@@ -184,7 +194,7 @@ impl Gas<'_> {
     /// A part of the diagonal of what most points fill.
     fn part_of_whole(&self) -> f64 {
         let sides = ["x", "y", "z"].map(|axis| {
-            let (low, high) = range(&self.statistics.sorted(axis), 0.005);
+            let (low, high) = range(&self.statistics.sorted(axis), ASTRAY);
             high - low
         });
         sides.iter().map(|side| side * side).sum::<f64>().sqrt().max(1e-15) / 60.0
@@ -198,14 +208,25 @@ fn range_of(places: &[Place]) -> (f64, f64) {
     (percentile(&sorted, 0.02), percentile(&sorted, 0.98))
 }
 
-/// The corners of the box around places.
-fn corners(places: &[Place]) -> Option<(DVec3, DVec3)> {
-    let positions = || places.iter().map(|place| place.position);
-    positions().reduce(DVec3::min).zip(positions().reduce(DVec3::max))
+/// The box around all but a few places.
+struct Extent {
+    low: DVec3,
+    high: DVec3,
 }
 
-fn longest_side(places: &[Place]) -> f64 {
-    corners(places).map_or(0.0, |(low, high)| (high - low).max_element())
+impl Extent {
+    fn of(places: &[Place]) -> Self {
+        let ends = [0, 1, 2].map(|axis| {
+            let mut sorted: Vec<f64> = places.iter().map(|place| place.position[axis]).collect();
+            sorted.sort_by(f64::total_cmp);
+            [ASTRAY, 1.0 - ASTRAY].map(|part| percentile(&sorted, part))
+        });
+        Self { low: ends.map(|[low, _]| low).into(), high: ends.map(|[_, high]| high).into() }
+    }
+
+    fn longest(&self) -> f64 {
+        (self.high - self.low).max_element()
+    }
 }
 
 /// How opaque a gas is.
@@ -224,36 +245,44 @@ fn at(knot: usize) -> f64 {
 }
 
 /// About how long rays are in a part of a gas, where they meet it: its volume over the area that it
-/// covers. The gas lies in cells; those of one column are behind each other, and in each is a clump
-/// with its share of the volume.
+/// covers, in the mean of three directions. The gas lies in cells; those of one column are behind
+/// each other, and in each is a clump with its share of the volume.
 struct Paths {
     corner: DVec3,
     cell: f64,
     cells: HashSet<[i32; 3]>,
-    columns: HashSet<[i32; 2]>,
+    /// Along each axis.
+    columns: [HashSet<[i32; 2]>; 3],
     volume: f64,
 }
 
 impl Paths {
     /// Those in nothing yet, of all that there is.
     fn among(all: &[Place]) -> Self {
-        let (corner, _) = corners(all).unwrap_or_default();
-        let cell = (longest_side(all) / CELLS).max(1e-300);
-        Self { corner, cell, cells: HashSet::new(), columns: HashSet::new(), volume: 0.0 }
+        let extent = Extent::of(all);
+        let cell = (extent.longest() / CELLS).max(1e-300);
+        let (cells, columns) = (HashSet::new(), std::array::from_fn(|_| HashSet::new()));
+        Self { corner: extent.low, cell, cells, columns, volume: 0.0 }
     }
 
     fn add(&mut self, place: &Place) {
-        let [x, y, z] = ((place.position - self.corner) / self.cell).to_array().map(|place| place as i32);
+        // What is astray is in the cells at the border.
+        let in_cells = ((place.position - self.corner) / self.cell).to_array();
+        let [x, y, z] = in_cells.map(|place| place.clamp(-1.0, CELLS) as i32);
         self.cells.insert([x, y, z]);
-        self.columns.insert([x, y]);
+        let [along_x, along_y, along_z] = &mut self.columns;
+        along_x.insert([y, z]);
+        along_y.insert([z, x]);
+        along_z.insert([x, y]);
         self.volume += place.volume;
     }
 
     /// 0 in nothing.
     fn length(&self) -> f64 {
-        let (cells, columns) = (self.cells.len().max(1) as f64, self.columns.len() as f64);
-        let clump = self.volume / cells;
-        let covered = (cells * clump.powf(2.0 / 3.0)).min(columns * self.cell * self.cell);
+        let cells = self.cells.len().max(1) as f64;
+        let of_clumps = cells * (self.volume / cells).powf(2.0 / 3.0);
+        let covered = |columns: &HashSet<_>| of_clumps.min(columns.len() as f64 * self.cell * self.cell);
+        let covered = self.columns.iter().map(covered).sum::<f64>() / 3.0;
         if covered > 0.0 { self.volume / covered } else { 0.0 }
     }
 }

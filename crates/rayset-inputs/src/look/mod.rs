@@ -24,6 +24,6 @@ mod view;
 mod voxels;
 
 pub use self::apply::expose;
-pub use self::choose::{Chosen, Looks, Picture, Stance, of_cloud, of_grid};
+pub use self::choose::{Chosen, Looks, MANY_POINTS, Picture, Stance, of_cloud, of_grid};
 pub use self::classes::class_name;
 pub use self::turntable::{Turntable, standing_back, turned};

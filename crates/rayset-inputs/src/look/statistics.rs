@@ -23,6 +23,8 @@ pub(super) struct Statistics {
 struct Sample {
     batch: PointBatch,
     schema: Schema,
+    /// Of the cloud.
+    points: u64,
     /// By what the density of the sample has to be multiplied.
     stride: u64,
     /// See [`Statistics::number_densities`].
@@ -33,7 +35,8 @@ impl Statistics {
     pub(super) fn of(cloud: &Cloud) -> Result<Self> {
         let (batch, schema) = (cloud.sample(SAMPLE_POINTS)?, cloud.sample_schema());
         let stride = cloud.sample_stride(SAMPLE_POINTS);
-        let sample = Sample { batch, schema, stride, densities: OnceLock::new() };
+        let points = cloud.header().points;
+        let sample = Sample { batch, schema, points, stride, densities: OnceLock::new() };
         Ok(Self { sample: Arc::new(sample), radius_scale: 1.0 })
     }
 
@@ -49,9 +52,9 @@ impl Statistics {
         (0..batch.len()).map(move |i| batch.columns[column].get(i) * scale)
     }
 
-    /// About how many points the cloud has.
+    /// How many points the cloud has.
     pub(super) fn points(&self) -> f64 {
-        self.sample.batch.len() as f64 * self.sample.stride as f64
+        self.sample.points as f64
     }
 
     pub(super) fn positions(&self) -> impl Iterator<Item = DVec3> + '_ {

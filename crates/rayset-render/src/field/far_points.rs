@@ -6,7 +6,7 @@ use super::columns::{MAP_COLUMNS, PointColumns};
 use super::far::{FarDecoder, LEAST_OPACITY, OF_CLOSURE};
 use super::footprints::{Footprints, dot};
 use super::principal_axes::principal_axes;
-use super::run::DecodedRun;
+use super::run::{DecodedRun, is_wide};
 use super::sight::Sight;
 use super::simd::{SimdLevel, dispatch};
 use crate::lod::{ClusterCells, LEAST_PART, MOST_DEPTH, SPREAD, STRETCH, half_density};
@@ -94,6 +94,16 @@ impl DecodedRun {
             self.narrow(f64::from(least), step);
         }
         dispatch!(simd.level(), token => self.bound_again(token, least * 0.9999));
+    }
+
+    /// Goes back to single precision if that is enough for the points that were left, balls of a
+    /// least radius.
+    fn narrow(&mut self, least_radius: f64, step: f64) {
+        self.least_length = least_radius;
+        if self.wide.is_some() && !is_wide(self.size, least_radius, step) {
+            self.set_wide(None);
+            self.may_be_wide = false;
+        }
     }
 
     /// Leaves the points whose bits are set.

@@ -344,16 +344,6 @@ impl DecodedRun {
         self.wide.is_some() == is_wide(self.size, self.least_length, step)
     }
 
-    /// Goes back to single precision if that is enough for the points that were left, balls of a
-    /// least radius.
-    pub(super) fn narrow(&mut self, least_radius: f64, step: f64) {
-        self.least_length = least_radius;
-        if self.wide.is_some() && !is_wide(self.size, least_radius, step) {
-            self.set_wide(None);
-            self.may_be_wide = false;
-        }
-    }
-
     /// Gives back the memory that waits for runs in double precision.
     pub(super) fn forget_spare(&mut self) {
         self.spare_wide = None;
@@ -430,7 +420,7 @@ impl DecodedRun {
         one_place
     }
 
-    fn set_wide(&mut self, source: Option<(&Run<'_>, &Header)>) {
+    pub(super) fn set_wide(&mut self, source: Option<(&Run<'_>, &Header)>) {
         let spare = self.wide.take().or_else(|| self.spare_wide.take());
         let Some((run, header)) = source else {
             self.spare_wide = spare;

@@ -220,8 +220,8 @@ fn points_of_two_pixels_and_more_are_seen_as_without_level_of_detail() {
     assert!(with(Lod::AUTO) == with(Lod::Off));
 }
 
-/// Specks beside large points ask for double precision only until they are left out of the densities:
-/// what is left is decoded once, and not for each slab that it reaches.
+/// Specks beside large points ask for double precision only until they are left out of the
+/// densities: what is left is decoded once, and not for each slab that it reaches.
 #[test]
 fn runs_whose_specks_are_seen_from_afar_are_decoded_once() {
     let folder = folder();

@@ -7,10 +7,10 @@
 //! the mean of g(D)/D over the mass, times the mass, for any g.
 //!
 //! [`add_to_file`] makes them of a finished file, in bounded memory (`build`): own points of nodes
-//! (`points`) are measured (`places`, `density`, `near_points`), leaves are divided into `cells`, and sums of all
-//! (`moments`, `histogram`) become a `record` each (`records`, `scale`). They are kept (`store`)
-//! until all are known, and written into a file (`write`), of which `header` says what it has; or
-//! compared with those of a file (`compare`).
+//! (`points`) are measured (`places`, `density`, `near_points`), leaves are divided into `cells`,
+//! and sums of all (`moments`, `histogram`) become a `record` each (`records`, `scale`). They are
+//! kept (`store`) until all are known, and written into a file (`write`), of which `header` says
+//! what it has; or compared with those of a file (`compare`).
 
 mod build;
 mod cells;
