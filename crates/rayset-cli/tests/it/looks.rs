@@ -451,30 +451,40 @@ fn scene_of_gas(f: &Path, file: &str) -> serde_json::Value {
 fn how_opaque_gas_is_depends_neither_on_pages_nor_on_axes() {
     let folder = folder();
     let f = folder.path();
-    // Flat: seen along one axis it is long, along the others short.
-    let places =
-        [0, 1, 2, 3, 4, 5, 6, 7].map(|i| [50.0, 10.0 + 11.0 * f64::from(i), 90.0 - 9.0 * f64::from(i)]);
-    clumps_of(f, &places, 3.0, 100_000, &[]);
-    let unit = |file: &str| scene_of_gas(f, file)["rendering"]["unitDistance"].as_f64().expect("a number");
     let build = |points: &str, file: &str, page: &str| {
         let build = ["build", points, "--precision", "exact", "--no-lod", "-o", file, "--page-size", page];
         succeeds(f, &build);
     };
+    let places =
+        [0, 1, 2, 3, 4, 5, 6, 7].map(|i| [50.0, 10.0 + 11.0 * f64::from(i), 90.0 - 9.0 * f64::from(i)]);
+    clumps_of(f, &places, 3.0, 100_000, &[]);
+    let unit = |file: &str| scene_of_gas(f, file)["rendering"]["unitDistance"].as_f64().expect("a number");
     build("gas.xyz", "small.rset", "16384");
     build("gas.xyz", "large.rset", "262144");
     let (small, large) = (unit("small.rset"), unit("large.rset"));
     // Of many pages a sample has a few, in which fewer of the places lie.
     assert!((0.85..1.3).contains(&(small / large)), "{small} with many pages, {large} with few");
-    let points = fs::read_to_string(f.join("gas.xyz")).expect("points");
-    let turned: String = points
-        .lines()
-        .map(|line| line.split(' ').collect::<Vec<_>>())
-        .map(|of| format!("{} {} {}\n", of[2], of[0], of[1]))
+    // A sheet, which covers much along one axis and little along the others.
+    let some = |i: u32, step: f64| (f64::from(i) * step).fract();
+    let sheet: Vec<[f64; 3]> = (0..200_000)
+        .map(|i| {
+            [48.0 + 4.0 * some(i, 0.819_172_5), 100.0 * some(i, 0.671_043_6), 100.0 * some(i, 0.549_700_5)]
+        })
         .collect();
-    fs::write(f.join("turned.xyz"), turned).expect("a write");
-    build("turned.xyz", "turned.rset", "262144");
-    let turned = unit("turned.rset");
-    assert!((turned / large - 1.0).abs() < 0.05, "{turned} along other axes, {large} before");
+    clumps_of(f, &[], 0.0, 100_000, &sheet);
+    let points = fs::read_to_string(f.join("gas.xyz")).expect("points");
+    let faint = [[0, 1, 2], [1, 2, 0]].map(|order| {
+        let turned: String = points
+            .lines()
+            .map(|line| line.split(' ').collect::<Vec<_>>())
+            .map(|of| format!("{} {} {}\n", of[order[0]], of[order[1]], of[order[2]]))
+            .collect();
+        fs::write(f.join("turned.xyz"), turned).expect("a write");
+        build("turned.xyz", "turned.rset", "262144");
+        let scene = scene_of_gas(f, "turned.rset");
+        scene["root"]["transferFunction"]["opacity"][16][1].as_f64().expect("a number")
+    });
+    assert!((faint[0] / faint[1] - 1.0).abs() < 0.05, "{faint:?} along two axes");
 }
 
 #[test]
