@@ -146,8 +146,8 @@ impl Gas<'_> {
     }
 
     /// How opaque each density is. Thin gas is faint, and dense gas is opaque over a part of the
-    /// whole; but where what is dense is far smaller than that, as haloes are, it is as opaque as
-    /// it has to be to be seen.
+    /// whole. What is dense and far smaller than that, as haloes are, is as opaque as it has to be
+    /// to be seen.
     fn opacities(&self) -> Opacities {
         let mut places = self.places();
         let (low, high) = range_of(&places);
