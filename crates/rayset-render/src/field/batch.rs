@@ -127,6 +127,9 @@ impl RunBatch {
         if self.len == MOST_RUNS {
             return Ok(Appended::NoRoom);
         }
+        if self.kept.is_empty_run(key) {
+            return Ok(Appended::Nothing);
+        }
         if self.len == self.runs.len() {
             self.runs.push(Box::default());
         }

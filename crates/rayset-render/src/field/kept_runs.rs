@@ -70,6 +70,11 @@ impl KeptRuns {
         is_right
     }
 
+    /// Whether it is known that nothing is seen of a run from afar.
+    pub(super) fn is_empty_run(&self, key: RunKey) -> bool {
+        key.what != RunPart::Whole && self.packed.is_empty_run(key)
+    }
+
     /// Keeps a run, if there is room and it is not too large; `run` is memory for another then.
     pub(super) fn keep(&mut self, key: RunKey, run: &mut Box<DecodedRun>) {
         run.forget_spare();

@@ -1,32 +1,41 @@
 //! Decoded runs of few points, packed: what is seen of a run from afar is mostly a few Gaussians,
 //! which take as long to make as its points take to decode.
 
+use std::collections::{HashMap, HashSet, VecDeque};
+
 use super::columns::{CHUNK_POINTS, CHUNKS, MAP_COLUMNS};
 use super::plates::Plate;
 use super::run::{DecodedRun, is_wide};
-use super::run_key::{RunKey, RunPart};
+use super::run_key::RunKey;
 use rayset_base::geometry::DVec3;
 use rayset_files::octree::layout::RUN_POINTS;
 
-/// Most sets of runs, by their keys, so that few are looked through: of each, the one that has not
-/// been used for longest goes first.
-const MOST_SETS: usize = 128;
-/// The least bytes of a set: those of four large runs.
-const LEAST_OF_SET: usize = 64 << 10;
+/// Fewest runs for which there is memory.
+const LEAST_RUNS: usize = 4;
+/// The part of memory for runs without points: one in so many.
+const OF_EMPTY: usize = 16;
 
-/// Packed runs in a part of memory.
+/// Packed runs in a part of memory. The oldest goes first; one that has been used meanwhile becomes
+/// the youngest instead.
 #[derive(Debug, Default)]
 pub(super) struct PackedRuns {
-    /// The most bytes of each set.
-    set_bytes: usize,
-    sets: Vec<Set>,
+    /// The most bytes of all.
+    room: usize,
+    bytes: usize,
+    /// Those without points: mostly as many as others.
+    empty: HashSet<RunKey>,
+    /// The numbers of others.
+    number_of: HashMap<RunKey, u64>,
+    /// In the order of their numbers, from the oldest on.
+    kept: VecDeque<Kept>,
+    oldest: u64,
 }
 
-/// Runs in the order of their last use.
-#[derive(Debug, Default)]
-struct Set {
-    runs: Vec<(RunKey, Box<PackedRun>)>,
-    bytes: usize,
+#[derive(Debug)]
+struct Kept {
+    key: RunKey,
+    is_used: bool,
+    packed: PackedRun,
 }
 
 /// A run in single precision, with as much of its columns as it has points.
@@ -52,56 +61,77 @@ struct PackedRun {
 impl PackedRuns {
     /// Gives it so many bytes of memory, or none; it forgets all runs.
     pub(super) fn set_room(&mut self, bytes: usize) {
-        let sets = (bytes / LEAST_OF_SET).min(MOST_SETS);
-        self.set_bytes = bytes / sets.max(1);
-        self.sets = Vec::new();
-        self.sets.resize_with(sets, Set::default);
+        // A part for those without points, whose table is at most twice as large as what is in it.
+        *self = Self { room: bytes - bytes / OF_EMPTY, ..Self::default() };
     }
 
-    /// The set of a key. Runs that follow each other are in different ones.
-    fn set_of(&mut self, key: RunKey) -> Option<&mut Set> {
-        let what = match key.what {
-            RunPart::Whole | RunPart::Density => 0,
-            RunPart::Spread(_) => 61,
-        };
-        let at = key.number as usize + 7 * key.page as usize + key.cloud + what;
-        let sets = self.sets.len();
-        self.sets.get_mut(at.checked_rem(sets)?)
+    /// Whether a run is known to have no points.
+    pub(super) fn is_empty_run(&self, key: RunKey) -> bool {
+        self.empty.contains(&key)
     }
 
     /// Whether a run is kept as samples that are at least `step` apart need it: `run` becomes it.
     pub(super) fn find(&mut self, key: RunKey, step: f64, run: &mut DecodedRun) -> bool {
-        let Some(set) = self.set_of(key) else { return false };
-        let Some(at) = set.runs.iter().rposition(|(kept, _)| *kept == key) else { return false };
-        set.runs[at..].rotate_left(1);
-        let Some((_, packed)) = set.runs.last() else { return false };
-        let is_right = !is_wide(packed.size, packed.least_length, step);
+        let Some(number) = self.number_of.get(&key) else { return false };
+        let Some(kept) = self.kept.get_mut((number - self.oldest) as usize) else { return false };
+        let is_right = !is_wide(kept.packed.size, kept.packed.least_length, step);
         if is_right {
-            packed.unpack(run);
+            kept.is_used = true;
+            kept.packed.unpack(run);
         }
         is_right
     }
 
     /// Keeps a run, if it is not kept already and is in single precision.
     pub(super) fn keep(&mut self, key: RunKey, run: &mut DecodedRun) {
-        let most = self.set_bytes;
-        let Some(set) = self.set_of(key).filter(|_| run.wide.is_none()) else { return };
-        if set.runs.iter().any(|(kept, _)| *kept == key) {
+        if run.len == 0 {
+            self.keep_empty(key);
             return;
         }
         let needed = PackedRun::bytes_of(run.packed_numbers());
-        if needed > most {
+        if run.wide.is_some() || needed > self.room / LEAST_RUNS || self.number_of.contains_key(&key) {
             return;
         }
         // The memory of one that goes is for it.
-        let mut packed = Box::<PackedRun>::default();
-        while set.bytes + needed.max(packed.bytes()) > most && !set.runs.is_empty() {
-            packed = set.runs.remove(0).1;
-            set.bytes -= packed.bytes();
+        let mut packed = PackedRun::default();
+        while self.bytes + needed.max(packed.bytes()) > self.room
+            && let Some(oldest) = self.take_oldest()
+        {
+            packed = oldest;
         }
         packed.pack(run);
-        set.bytes += packed.bytes();
-        set.runs.push((key, packed));
+        self.bytes += packed.bytes();
+        self.push(Kept { key, is_used: false, packed });
+    }
+
+    fn keep_empty(&mut self, key: RunKey) {
+        let most = self.room / (OF_EMPTY - 1) / (2 * size_of::<RunKey>());
+        if self.empty.len() >= most {
+            self.empty.clear();
+        }
+        if most > 0 {
+            self.empty.insert(key);
+        }
+    }
+
+    fn push(&mut self, kept: Kept) {
+        self.number_of.insert(kept.key, self.oldest + self.kept.len() as u64);
+        self.kept.push_back(kept);
+    }
+
+    /// Takes out the oldest that has not been used.
+    fn take_oldest(&mut self) -> Option<PackedRun> {
+        loop {
+            let kept = self.kept.pop_front()?;
+            self.oldest += 1;
+            if kept.is_used {
+                self.push(Kept { is_used: false, ..kept });
+                continue;
+            }
+            self.number_of.remove(&kept.key);
+            self.bytes -= kept.packed.bytes();
+            return Some(kept.packed);
+        }
     }
 }
 
@@ -164,7 +194,8 @@ impl PackedRun {
     }
 
     fn bytes_of(numbers: usize) -> usize {
-        size_of::<(RunKey, Box<Self>)>() + size_of::<Self>() + numbers * size_of::<f32>()
+        // Tables and lists are at most twice as large as what is in them.
+        2 * (size_of::<(RunKey, u64)>() + size_of::<Kept>()) + numbers * size_of::<f32>()
     }
 }
 
@@ -203,6 +234,7 @@ impl DecodedRun {
 
 #[cfg(test)]
 mod tests {
+    use super::super::run_key::RunPart;
     use super::*;
 
     /// A run whose numbers all differ.
@@ -272,18 +304,31 @@ mod tests {
     }
 
     #[test]
-    fn no_more_is_kept_than_there_is_room_for_and_the_oldest_goes_first() {
-        let mut packed = PackedRuns::default();
-        packed.set_room(LEAST_OF_SET);
+    fn no_more_is_kept_than_there_is_room_for_and_what_is_used_stays() {
+        const ROOM: usize = 64 << 10;
+        let (mut packed, mut found) = (PackedRuns::default(), run(1, false, 0, 0));
+        packed.set_room(ROOM);
         for page in 0..100 {
             packed.keep(key(page, 0), &mut run(1 + page as usize, page % 2 == 0, 6, 0));
-            let set = &packed.sets[0];
-            let bytes: usize = set.runs.iter().map(|(_, packed)| packed.bytes()).sum();
-            assert!(set.bytes == bytes && bytes <= LEAST_OF_SET, "{bytes}");
+            let bytes: usize = packed.kept.iter().map(|kept| kept.packed.bytes()).sum();
+            assert!(packed.bytes == bytes && bytes <= ROOM, "{bytes}");
+            assert_eq!(packed.number_of.len(), packed.kept.len());
+            assert!(packed.find(key(0, 0), 1.0, &mut found) && found.len == 1, "{page}");
         }
-        let mut found = run(1, false, 0, 0);
         assert!(packed.find(key(99, 0), 1.0, &mut found) && found.len == 100);
-        assert!(!packed.find(key(0, 0), 1.0, &mut found));
-        assert!(packed.sets[0].runs.len() > 4);
+        assert!(!packed.find(key(1, 0), 1.0, &mut found), "it was used once");
+        assert!(packed.kept.len() > 4);
+        for kept in &packed.kept {
+            assert_eq!(usize::from(kept.packed.len), 1 + kept.key.page as usize);
+        }
+    }
+
+    #[test]
+    fn a_run_without_points_is_known_as_such() {
+        let mut packed = PackedRuns::default();
+        packed.set_room(1 << 20);
+        packed.keep(key(1, 0), &mut run(0, true, 4, 0));
+        packed.keep(key(1, 1), &mut run(3, true, 4, 0));
+        assert_eq!([0, 1, 2].map(|number| packed.is_empty_run(key(1, number))), [true, false, false]);
     }
 }

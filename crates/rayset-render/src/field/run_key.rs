@@ -1,7 +1,7 @@
 //! By what decoded runs are found again.
 
 /// Which run it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RunKey {
     /// A number of the cloud and of how its runs are decoded.
     pub cloud: usize,
@@ -14,7 +14,7 @@ pub struct RunKey {
 }
 
 /// What is decoded of a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum RunPart {
     /// All.
     #[default]
