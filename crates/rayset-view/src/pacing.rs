@@ -13,7 +13,7 @@ const SHORT_ENOUGH: f64 = 0.8;
 /// From one scale to the next, the number of rays halves.
 const COARSEST: u32 = 12;
 /// A moving picture never has fewer rays than this, unless it has fewer pixels itself.
-const LEAST_RAYS: f64 = 320.0 * 180.0;
+const LEAST_RAYS: f64 = 160.0 * 90.0;
 
 /// Chooses the resolution of moving pictures.
 #[derive(Clone, Debug)]

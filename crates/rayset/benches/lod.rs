@@ -13,8 +13,8 @@ use rayset::field::Kernel;
 use rayset::geometry::{DQuat, DVec3};
 use rayset::points::ArraySource;
 use rayset::scene::{
-    Camera, CloudObject, ColorRule, Lighting, OpacityRule, Projection, RenderSettings, Samples, Scene, Step,
-    TransferFunction,
+    Camera, CloudObject, ColorRule, Lighting, Lod, OpacityRule, Projection, RenderSettings, Samples, Scene,
+    Step, TransferFunction,
 };
 use rayset::trace::reference::far::{Far, opacities};
 use rayset::{CancelToken, Cloud, Session};
@@ -325,7 +325,8 @@ fn main() {
                     let (x, y) = (at % (size * parts) / parts, at / (size * parts) / parts);
                     truths[(y * size + x) as usize] += f64::from(fine[3]) / f64::from(parts * parts);
                 }
-                let far = Far::new(&object, case.unit_distance, (&camera, size, size), 1.0).expect("a file");
+                let far =
+                    Far::new(&object, case.unit_distance, (&camera, size, size), Lod::AUTO).expect("a file");
                 let far = far.expect("aggregates");
                 let seen = opacities(&far, (&camera, size, size));
                 let count = f64::from(size * size);

@@ -44,6 +44,8 @@ pub(super) const OF_CLOSURE: usize = 4;
 pub(crate) struct FarDecoder {
     sections: CrossSections,
     columns: AttributeColumns,
+    /// Over which part of a pixel, as wide as it is taken to be, what is seen is spread.
+    spread: f64,
     /// Whether colours are those of densities.
     colors_densities: bool,
     /// Whether the field carries directions across what is flat.
@@ -53,10 +55,11 @@ pub(crate) struct FarDecoder {
 }
 
 impl FarDecoder {
-    /// For the cross-sections of a cloud's aggregates.
-    pub(crate) fn new(sections: CrossSections, colors_densities: bool) -> Self {
+    /// For the cross-sections of a cloud's aggregates, of which each is spread over a part of a
+    /// pixel.
+    pub(crate) fn new(sections: CrossSections, spread: f64, colors_densities: bool) -> Self {
         let (columns, color_from_byte) = (AttributeColumns::default(), Box::new([0.0; 256]));
-        Self { sections, columns, colors_densities, has_normals: false, color_from_byte }
+        Self { sections, columns, spread, colors_densities, has_normals: false, color_from_byte }
     }
 
     /// Sets which attributes of the cloud fields carry, and whether directions.
@@ -116,6 +119,12 @@ impl FarDecoder {
         self.sections.kernel
     }
 
+    /// The variance of what is seen because it is spread over a part of a pixel, for a pixel of
+    /// one.
+    pub(super) fn variance_of_pixel(&self) -> f32 {
+        (self.spread * self.spread / 12.0) as f32
+    }
+
     /// Gives points, as they are decoded for a field of densities, the channels of the closure, and
     /// colours if these follow from densities.
     pub(super) fn color_points(&self, run: &mut DecodedRun, colors: &[[f32; 3]; RUN_POINTS]) {
@@ -158,7 +167,8 @@ impl FarDecoder {
                 continue;
             };
             let absorber = Absorber::of(&aggregate, &self.sections);
-            let seen = absorber.seen(sight.eye.toward(absorber.center), sight.pixel_at(absorber.center));
+            let pixel = self.spread * sight.pixel_at(absorber.center);
+            let seen = absorber.seen(sight.eye.toward(absorber.center), pixel);
             let Some(at) = writer.add(&seen, part) else { continue };
             if self.has_normals {
                 writer.add_normal(at, absorber.normal(sight.eye.toward(absorber.center)));

@@ -152,7 +152,8 @@ impl DecodedRun {
             let carried = |channel| channel < first || decoder.is_color(channel);
             clusters.set(self, (points, &parts.of_mass), (cells, corner), carried);
             self.len = clusters.len;
-            spread.set(self, clusters, &Footprints::new(sight, sight.pixel, self));
+            let seen = Footprints::new(sight, sight.pixel, self);
+            spread.set(self, clusters, &seen, decoder.variance_of_pixel());
             stay = more_than(&spread.weight, 0.0, self.len);
             self.points.weight = spread.weight;
             self.points.radius = spread.radius;
@@ -257,9 +258,10 @@ fn set_shapes(covariance: &mut [Column; 6], points: &PointColumns, variance: f32
 }
 
 impl Spread {
-    /// Sets the closure of clusters, as `lod::closure` has it in double precision.
+    /// Sets the closure of clusters, as `lod::closure` has it in double precision. A pixel of one
+    /// spreads them by the variance `of_pixel`.
     #[inline(always)]
-    fn set(&mut self, run: &DecodedRun, clusters: &Clusters, seen: &Footprints) {
+    fn set(&mut self, run: &DecodedRun, clusters: &Clusters, seen: &Footprints, of_pixel: f32) {
         let out = self;
         (out.reach, out.least_radius) = ([0.0; 3], f32::INFINITY);
         let (mut reach, mut shortest) = ([[0.0_f32; RUN_POINTS]; 3], [0.0_f32; RUN_POINTS]);
@@ -277,7 +279,7 @@ impl Spread {
             let cross = clusters.cross_section[i] as f32;
             let depth = (cross / area.max(f32::MIN_POSITIVE)).min(MOST_DEPTH as f32);
             let opacity = absorbed(depth);
-            let s = v.map(|v| v + seen.squared[i] * (1.0 / 12.0));
+            let s = v.map(|v| v + seen.squared[i] * of_pixel);
             let stretched = s.map(|of_axis| of_axis + STRETCH as f32 * (of_axis - s[2]));
             let along = across[0] / stretched[0] + across[1] / stretched[1] + across[2] / stretched[2];
             let r = s.map(|s| (s * (1.0 / SPREAD.variance()) as f32).sqrt());

@@ -57,7 +57,9 @@ impl PreparedScene {
         let world = &self.0.world;
         let steps = match settings.lod {
             Lod::Off => world.steps.clone(),
-            Lod::Footprint(_) => StepRule::new(&world.program, &settings, Some(&rays.sight()))?,
+            Lod::Footprint(_) | Lod::Draft(_) => {
+                StepRule::new(&world.program, &settings, Some(&rays.sight()))?
+            }
         };
         Ok(View { prepared: self.0.clone(), rays, steps: Arc::new(steps), settings })
     }

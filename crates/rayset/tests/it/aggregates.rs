@@ -18,7 +18,7 @@ use rayset::octree::verify::Depth;
 use rayset::paged_file::HasPages;
 use rayset::points::{ArraySource, Workload};
 use rayset::scene::{
-    Camera, CloudObject, ColorRule, Lighting, OpacityRule, Projection, Scene, TransferFunction,
+    Camera, CloudObject, ColorRule, Lighting, Lod, OpacityRule, Projection, Scene, TransferFunction,
 };
 use rayset::trace::ExecSettings;
 use rayset::trace::reference::far::{Far, opacities};
@@ -453,7 +453,9 @@ fn every_point_is_seen_once_however_wide_pixels_are() {
         let mut most = 0;
         for octave in -8..12 {
             let factor = 2_f64.powf(f64::from(octave) * 0.7);
-            let far = Far::new(&object, 1.0, (&camera, 32, 32), factor).expect("a file").expect("aggregates");
+            let far = Far::new(&object, 1.0, (&camera, 32, 32), Lod::Footprint(factor as f32))
+                .expect("a file")
+                .expect("aggregates");
             let (gaussians, _) = far.counts();
             most = most.max(gaussians);
             assert!((far.mass() / (integral * all) - 1.0).abs() < 1e-4, "{factor}: {} of {all}", far.mass());
@@ -485,7 +487,7 @@ fn opacities_from_aggregates_are_those_of_the_points_where_pixels_are_wide() {
         let (x, y) = (at % (size * parts) / parts, at / (size * parts) / parts);
         truth[(y * size + x) as usize] += f64::from(pixel[3]) / f64::from(parts * parts);
     }
-    let far = Far::new(&object, scene.unit_distance, (&camera, size, size), 1.0).expect("a file");
+    let far = Far::new(&object, scene.unit_distance, (&camera, size, size), Lod::AUTO).expect("a file");
     let far = far.expect("aggregates");
     let seen = opacities(&far, (&camera, size, size));
     // In the middle: the silhouette is a third of a pixel too large.

@@ -44,13 +44,12 @@ fn sphere(path: &Path, name: &str) {
 }
 
 /// The mean and the largest difference of a picture's opacities from those of the judge.
-fn compare(object: &CloudObject, camera: &Camera, size: u32, factor: f32) -> (f64, f64) {
+fn compare(object: &CloudObject, camera: &Camera, size: u32, lod: Lod) -> (f64, f64) {
     let scene = Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object.clone()) };
-    let settings =
-        settings(size, size).with_lod(Lod::Footprint(factor)).with_step(Step::Automatic { fraction: 0.1 });
+    let settings = settings(size, size).with_lod(lod).with_step(Step::Automatic { fraction: 0.1 });
     let settings = settings.with_stop_transmittance(0.0);
     let picture = picture(&scene, camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30));
-    let far = Far::new(object, scene.unit_distance, (camera, size, size), factor.into()).expect("a file");
+    let far = Far::new(object, scene.unit_distance, (camera, size, size), lod).expect("a file");
     let judged = opacities(&far.expect("aggregates"), (camera, size, size));
     let (mut sum, mut most) = (0.0, 0.0_f64);
     for (pixel, judged) in picture.expect("a picture").iter().zip(&judged) {
@@ -67,23 +66,24 @@ fn pictures_from_afar_are_those_of_the_judge() {
     let path = folder.path().join("c.rset");
     sphere(&path, "sphere-100000");
     let (mut object, camera) = seen_from(&path, 3.0);
-    for (rule, size, factor) in [
-        (OpacityRule::Clamp, 48, 1.0),
-        (OpacityRule::Clamp, 48, 0.4),
-        (OpacityRule::Extinction(0.5), 32, 1.0),
-        (OpacityRule::Extinction(40.0), 24, 3.0),
+    for (rule, size, lod) in [
+        (OpacityRule::Clamp, 48, Lod::AUTO),
+        (OpacityRule::Clamp, 48, Lod::Footprint(0.4)),
+        (OpacityRule::Extinction(0.5), 32, Lod::AUTO),
+        (OpacityRule::Extinction(40.0), 24, Lod::Footprint(3.0)),
+        (OpacityRule::Clamp, 48, Lod::Draft(4.0)),
     ] {
         object.transfer.opacity = rule;
-        let (mean, most) = compare(&object, &camera, size, factor);
-        assert!(mean < 2e-3 && most < 0.02, "{size} {factor}: {mean}, {most}");
+        let (mean, most) = compare(&object, &camera, size, lod);
+        assert!(mean < 2e-3 && most < 0.02, "{size} {lod:?}: {mean}, {most}");
     }
     let source = mixed_points(20_000, 6.0, 8);
     build_at(&path, Box::new(source), &BuildOptions::default());
     add(&path);
     let (object, camera) = seen_from(&path, 3.0);
-    for factor in [0.3, 1.0, 4.0] {
-        let (mean, most) = compare(&object, &camera, 24, factor);
-        assert!(mean < 2e-3 && most < 0.02, "mixed {factor}: {mean}, {most}");
+    for lod in [Lod::Footprint(0.3), Lod::AUTO, Lod::Footprint(4.0), Lod::Draft(2.0), Lod::Draft(4.0)] {
+        let (mean, most) = compare(&object, &camera, 24, lod);
+        assert!(mean < 2e-3 && most < 0.02, "mixed {lod:?}: {mean}, {most}");
     }
 }
 
@@ -165,8 +165,8 @@ fn pictures_from_afar_depend_on_no_execution_setting() {
     add(&path);
     let (object, camera) = seen_from(&path, 4.0);
     let scene = lit(object);
-    for factor in [0.5, 2.0] {
-        let settings = settings(40, 32).with_lod(Lod::Footprint(factor));
+    for lod in [Lod::Footprint(0.5), Lod::Footprint(2.0), Lod::Draft(3.0)] {
+        let settings = settings(40, 32).with_lod(lod);
         let with = |exec: &ExecSettings, budget: u64| {
             bits(&picture(&scene, &camera, &settings, exec, &paged(&scene, budget)).expect("a picture"))
         };
@@ -175,10 +175,7 @@ fn pictures_from_afar_depend_on_no_execution_setting() {
             [(1, 8, 32, 1 << 20), (3, 5, 8, 1 << 30), (2, 1, 32, 1 << 30), (2, 3, 1, 2 << 20)]
         {
             let exec = ExecSettings { threads, tile_pixels, slab_samples, ..ExecSettings::default() };
-            assert!(
-                with(&exec, budget) == plain,
-                "{factor}: {threads} {tile_pixels} {slab_samples} {budget}"
-            );
+            assert!(with(&exec, budget) == plain, "{lod:?}: {threads} {tile_pixels} {slab_samples} {budget}");
         }
     }
 }
@@ -257,9 +254,11 @@ fn footprints_out_of_range_are_refused() {
     let (object, camera) = seen_from(&path, 4.0);
     let scene = lit(object);
     for factor in [0.0, -1.0, 65.0, f32::NAN, f32::INFINITY] {
-        let settings = settings(8, 8).with_lod(Lod::Footprint(factor));
-        let refused = picture(&scene, &camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30));
-        assert!(refused.expect_err("refused").to_string().contains("level of detail"));
+        for lod in [Lod::Footprint(factor), Lod::Draft(factor)] {
+            let (settings, exec) = (settings(8, 8).with_lod(lod), ExecSettings::default());
+            let refused = picture(&scene, &camera, &settings, &exec, &paged(&scene, 1 << 30));
+            assert!(refused.expect_err("refused").to_string().contains("level of detail"));
+        }
     }
 }
 

@@ -19,8 +19,10 @@ const WIDEST_CELL: f64 = 2.0;
 
 /// What is needed to see a cloud from afar.
 pub(in crate::trace) struct CloudLod {
-    /// How wide pixels are taken to be.
+    /// How wide pixels are taken to be, in pixels.
     factor: f64,
+    /// How much farther than itself what is seen reaches, in pixels as wide as they are taken to be.
+    beyond: f64,
     pub(super) aggregates: AggregateHeader,
     pub(super) decoder: FarDecoder,
     /// Length in local space of a unit of world space.
@@ -35,7 +37,7 @@ impl CloudLod {
         scene: &Scene,
         lod: Lod,
     ) -> Option<Self> {
-        let Lod::Footprint(factor) = lod else { return None };
+        let (factor, spread) = lod.pixels()?;
         if why_whole(object, world_from_local).is_some() {
             return None;
         }
@@ -47,11 +49,12 @@ impl CloudLod {
         let decoder = match &object.transfer.color {
             ColorRule::Map { map, input: MapInput::Density } => {
                 let color = |density: f64| map.color(density).map(|v| v as f32);
-                FarDecoder::new(sections.with_colors(g, color), true)
+                FarDecoder::new(sections.with_colors(g, color), spread, true)
             }
-            _ => FarDecoder::new(sections, false),
+            _ => FarDecoder::new(sections, spread, false),
         };
-        Some(Self { factor: factor.into(), aggregates, decoder, stretch })
+        let beyond = OF_PIXEL * spread;
+        Some(Self { factor, beyond, aggregates, decoder, stretch })
     }
 
     /// Sets which attributes fields carry, and whether they do directions across what is flat.
@@ -74,18 +77,18 @@ impl CloudLod {
         let pixel = sight.largest_pixel_in(bounds);
         let cell = WIDEST_CELL * pixel;
         let width = bounds.size().max_element().min(cell + cell.min(2.0 * radius_max));
-        BEYOND * width + OF_PIXEL * pixel
+        BEYOND * width + self.beyond * pixel
     }
 
     /// How far points in a box that are seen by themselves reach beyond what they reach as
     /// densities.
     pub(super) fn reach_of_points(&self, bounds: &Aabb, sight: &Sight) -> f64 {
-        OF_PIXEL * sight.largest_pixel_in(bounds)
+        self.beyond * sight.largest_pixel_in(bounds)
     }
 
     /// Where what stands for a cell reaches.
     pub(super) fn around(&self, cell: &CellPlace, sight: &Sight) -> Aabb {
-        let reach = DEVIATIONS * cell.deviation + OF_PIXEL * sight.pixel_at(cell.centroid);
+        let reach = DEVIATIONS * cell.deviation + self.beyond * sight.pixel_at(cell.centroid);
         Aabb::new(cell.centroid, cell.centroid).inflated(reach)
     }
 }

@@ -11,7 +11,7 @@ use crate::lod::{
     Absorber, ClusterCells, CrossSections, LEAST_PART, SPREAD, Seen, Sums, density_part, half_density,
     part_of_cell, part_of_last_cell,
 };
-use crate::scene::{Camera, CloudObject};
+use crate::scene::{Camera, CloudObject, Lod};
 use rayset_base::geometry::{DMat3, DVec3, Ray, Shape, eigenvectors};
 use rayset_files::octree::Cloud;
 use rayset_files::octree::aggregates::{Aggregate, AggregatePage};
@@ -22,7 +22,7 @@ use rayset_files::paged_file::HasPages;
 use rayset_store::container::ScanError;
 use rayset_store::working_set::Kind;
 
-/// Distance between samples, in pixels.
+/// Distance between samples, in pixels over which what is seen is spread.
 const STEP: f64 = 0.17;
 /// The same, at least, in parts of the way.
 const LEAST_STEP: f64 = 1e-5;
@@ -70,11 +70,13 @@ pub struct Far {
     unit_distance: f64,
     sections: CrossSections,
     sight: Sight,
+    /// Over which part of a pixel what is seen is spread.
+    spread: f64,
 }
 
 impl Far {
-    /// What is seen of a cloud by a camera in a picture of this size, whose pixels are taken to be
-    /// `factor` times as wide. `None` if the file has no aggregates.
+    /// What is seen of a cloud by a camera in a picture of this size. `None` if the file has no
+    /// aggregates, or every point is seen.
     ///
     /// # Errors
     /// [`ScanError`] if the file cannot be read or is damaged.
@@ -84,8 +86,9 @@ impl Far {
         object: &CloudObject,
         unit_distance: f64,
         (camera, width, height): (&Camera, u32, u32),
-        factor: f64,
+        lod: Lod,
     ) -> Result<Option<Self>, ScanError> {
+        let Some((factor, spread)) = lod.pixels() else { return Ok(None) };
         let Some(file) = File::load(&object.cloud, object.kernel.integral(), object.normalised)? else {
             return Ok(None);
         };
@@ -95,7 +98,7 @@ impl Far {
         let kernel = (object.kernel.integral(), object.kernel.variance());
         let sections = CrossSections::new(kernel, |d| object.transfer.opacity.extinction(d, unit_distance));
         let object = object.clone();
-        let mut far = Self { gaussians, densities, file, object, unit_distance, sections, sight };
+        let mut far = Self { gaussians, densities, file, object, unit_distance, sections, sight, spread };
         let root = far.object.cloud.header().root;
         let node = far.file.nodes[root.page as usize][usize::from(root.index)];
         far.node(&node, Some(0), 1.0, 0.0);
@@ -135,7 +138,7 @@ impl Far {
     }
 
     fn see(&mut self, absorber: &Absorber, part: f64) {
-        let pixel = self.sight.pixel_at(absorber.center);
+        let pixel = self.spread * self.sight.pixel_at(absorber.center);
         let seen = absorber.seen(self.sight.eye.toward(absorber.center), pixel);
         self.gaussians.push((part, seen));
     }
@@ -320,7 +323,8 @@ impl Far {
             let place = ray.origin + ray.direction * at;
             let least =
                 points.iter().map(|point| point.radius * point.shape.ratios[1]).fold(f64::INFINITY, f64::min);
-            let step = (STEP * self.sight.pixel_at(place)).min(0.25 * least).max(LEAST_STEP * (to - from));
+            let pixel = self.spread * self.sight.pixel_at(place);
+            let step = (STEP * pixel).min(0.25 * least).max(LEAST_STEP * (to - from));
             depth += self.extinction(at + 0.5 * step, ray, &near, &points) * step;
             at += step;
         }
