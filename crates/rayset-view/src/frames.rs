@@ -263,7 +263,7 @@ impl Frames {
         let file = self.opened.parse(&composed).map_err(Unfinished::Problem)?;
         // Distances, with which the page moves a picture until the next has come. They change no
         // pixel.
-        let scene = self.session.prepare(&file.scene, &adapted(file.settings).with_layers(true))?;
+        let scene = self.session.prepare(&file.scene, &adapted(file.settings).with_depths(true))?;
         self.pin_nodes();
         Ok(Prepared { composed, scene, file: Arc::new(file) })
     }

@@ -8,8 +8,10 @@ use jpeg_encoder::{Encoder, ImageBuffer, JpegColorType, SamplingFactor, rgb_to_y
 
 use crate::protocol::{FrameHead, FrameKind, HEAD_BYTES};
 
-/// Quality of JPEG, 1 to 100.
-const QUALITY: u8 = 82;
+/// Quality of JPEG, 1 to 100: of pictures with many pixels, and of those with fewer than
+/// [`FEW_PIXELS`], whose pixels are seen much larger.
+const QUALITY: [u8; 2] = [82, 93];
+const FEW_PIXELS: u32 = 100_000;
 
 /// A picture for display: 8-bit RGBA, straight alpha, row by row.
 #[derive(Clone, Debug, Default)]
@@ -109,7 +111,8 @@ pub(crate) fn whole(
     let head = FrameHead { kind: FrameKind::Whole, generation, frame, size, rectangles: 0 };
     let mut message = head.bytes().to_vec();
     depths.encode(&mut message);
-    let mut encoder = Encoder::new(&mut message, QUALITY);
+    let is_small = shown.width * shown.height < FEW_PIXELS;
+    let mut encoder = Encoder::new(&mut message, QUALITY[usize::from(is_small)]);
     // Colours of one side of an edge do not reach over it: the page moves both sides apart.
     encoder.set_sampling_factor(SamplingFactor::F_1_1);
     // Writing to memory does not fail, and the size has been checked; a message without a picture

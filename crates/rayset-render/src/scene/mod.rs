@@ -346,6 +346,8 @@ pub struct RenderSettings {
     pub max_depth: u32,
     /// Whether depth, shading vectors and other layers are computed besides colours.
     pub layers: bool,
+    /// Whether of layers depth and opacity alone are computed, if not all are. It takes less time.
+    pub depths: bool,
     /// How much darker surfaces become in creases and close behind edges, 0 (not at all, the
     /// default) to 4. Of whole pictures and regions alone: tiles that are handed out one by one are
     /// as they were traced.
@@ -371,6 +373,7 @@ impl Default for RenderSettings {
             shadows: Shadows::Exact,
             max_depth: 4,
             layers: false,
+            depths: false,
             ambient_occlusion: 0.0,
             cap_resolution: 256,
             lod: Lod::Off,
@@ -386,15 +389,17 @@ setters!(RenderSettings {
     with_shadows => shadows: Shadows,
     with_max_depth => max_depth: u32,
     with_layers => layers: bool,
+    with_depths => depths: bool,
     with_ambient_occlusion => ambient_occlusion: f32,
     with_cap_resolution => cap_resolution: u32,
     with_lod => lod: Lod,
 });
 
 impl RenderSettings {
-    /// Whether layers are computed, for the caller or for ambient occlusion.
+    /// Whether layers are computed, or of them depth and opacity, for the caller or for ambient
+    /// occlusion.
     pub(crate) fn records_layers(&self) -> bool {
-        self.layers || self.ambient_occlusion > 0.0
+        self.layers || self.depths || self.ambient_occlusion > 0.0
     }
 
     /// Sets how many rays a pixel has: a number along each side, or [`Samples::Auto`].

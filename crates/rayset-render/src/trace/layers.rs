@@ -22,16 +22,21 @@ struct Gathered {
 
 /// The pixels of a tile.
 #[derive(Clone)]
-pub(super) struct Layers([Gathered; LANES]);
+pub(super) struct Layers {
+    pixels: [Gathered; LANES],
+    /// Otherwise depth and opacity alone.
+    all: bool,
+}
 
 impl Layers {
-    pub(super) fn new() -> Self {
-        Self([Gathered::default(); LANES])
+    /// For all layers, or depth and opacity alone.
+    pub(super) fn new(all: bool) -> Self {
+        Self { pixels: [Gathered::default(); LANES], all }
     }
 
     /// Clears the sums of the previous tile.
     pub(super) fn begin(&mut self) {
-        self.0.fill(Gathered::default());
+        self.pixels.fill(Gathered::default());
     }
 
     /// Adds the samples of a slab; `pixels` maps a lane to its pixel.
@@ -45,16 +50,19 @@ impl Layers {
         pixels: impl Fn(usize) -> usize,
     ) {
         each_lane(shares.lanes(), |lane| {
-            let pixel = &mut self.0[pixels(lane)];
+            let pixel = &mut self.pixels[pixels(lane)];
             let mut samples = shares.samples[lane];
             while samples != 0 {
                 let j = samples.trailing_zeros() as usize;
                 samples &= samples - 1;
                 let share = shares.share[lane].0[j];
-                let color = constants.color_at(node, lane, j);
                 pixel.weight += share;
                 pixel.depth += f64::from(share) * packet.sample_t_world(lane, slab.first + j as u64);
+                if !self.all {
+                    continue;
+                }
                 pixel.samples += 1;
+                let color = constants.color_at(node, lane, j);
                 for axis in 0..3 {
                     pixel.normal[axis] += share * node.normal[axis][lane].0[j];
                     pixel.albedo[axis] += share * color[axis];
@@ -68,7 +76,7 @@ impl Layers {
 
     /// Adds the opacity of one ray of a pixel: the fraction of the background that it hides.
     pub(super) fn hide(&mut self, pixel: usize, opacity: f32) {
-        let (sum, rays) = &mut self.0[pixel].opacity;
+        let (sum, rays) = &mut self.pixels[pixel].opacity;
         *sum += opacity;
         *rays += 1;
     }
@@ -76,7 +84,7 @@ impl Layers {
     /// The layers of a tile of `count` pixels, for which pages of `bytes` bytes in all were
     /// requested.
     pub(super) fn pixels(&self, count: usize, bytes: u64) -> [LayerPixel; LANES] {
-        self.0.map(|g| {
+        self.pixels.map(|g| {
             let bytes = bytes as f32 / count as f32;
             let opacity = g.opacity.0 / g.opacity.1.max(1) as f32;
             if g.weight <= 0.0 {

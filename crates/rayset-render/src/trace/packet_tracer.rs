@@ -55,7 +55,7 @@ impl<'a> PacketTracer<'a> {
             march: March::new(&world.program, steps, slab_samples),
             shadows: world.shadows.as_ref().map(|world| Shadows::new(world, slab_samples)),
             refraction: world.bounces.map(RefractionStates::new),
-            layers: world.layers.then(Layers::new),
+            layers: world.layers.then(|| Layers::new(world.all_layers)),
             tree: if world.bounces.is_some() { RayTree::with_room() } else { RayTree::default() },
             shares: Shares::new(),
             states: [RayState::START; LANES],

@@ -85,7 +85,7 @@ pub(super) enum Purpose {
 impl RenderSettings {
     /// What a program for pictures computes.
     pub(super) fn purpose(&self) -> Purpose {
-        if self.records_layers() { Purpose::Layers } else { Purpose::Picture }
+        if self.layers { Purpose::Layers } else { Purpose::Picture }
     }
 }
 

@@ -26,8 +26,9 @@ pub(super) struct World {
     pub(super) foresight: Foresight,
     /// `None` if no ray is reflected or refracted.
     pub(super) bounces: Option<Bounces>,
-    /// Whether layers are requested besides the colour of pixels.
+    /// Whether layers are recorded besides the colour of pixels, and whether all of them are.
     pub(super) layers: bool,
+    pub(super) all_layers: bool,
     /// As it is composited.
     pub(super) background: Option<[f32; 3]>,
     compositing: Compositing,
@@ -66,6 +67,7 @@ impl World {
             shader,
             absorption,
             layers: settings.records_layers(),
+            all_layers: settings.layers,
             background: scene.background.map(|mut color| {
                 if compositing == Compositing::Display {
                     all_from_linear(&mut color);
