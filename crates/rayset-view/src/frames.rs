@@ -99,7 +99,8 @@ fn drafted(settings: RenderSettings) -> RenderSettings {
         _ => Shadows::Cached { resolution: SHADOW_RESOLUTION },
     };
     let lod = match settings.lod {
-        Lod::Footprint(factor) => Lod::Draft((CELLS * factor).clamp(1.0, Lod::FACTORS.1)),
+        Lod::Footprint(factor) => Lod::Coarse((CELLS * factor).clamp(1.0, Lod::FACTORS.1)),
+        Lod::Coarse(factor) => Lod::Coarse(factor.max(CELLS)),
         other => other,
     };
     settings.with_step(step).with_shadows(shadows).with_lod(lod)

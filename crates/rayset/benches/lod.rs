@@ -1,6 +1,6 @@
 //! Level of detail against the truth: opacities of pixels from aggregates, by one ray, and from all
-//! points, by many. `cargo bench -p rayset --bench lod [SCENE]` prints a line for each scene,
-//! transfer function and width of pixels.
+//! points, by many. `cargo bench -p rayset --bench lod [SCENE] [--coarse]` prints a line for
+//! each scene, transfer function and width of pixels.
 
 #![allow(missing_docs, clippy::print_stdout, reason = "a table is printed")]
 
@@ -282,6 +282,7 @@ fn built(case: &Case, folder: &Path) -> Arc<Cloud> {
 
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
+    let lod = if std::env::args().any(|arg| arg == "--coarse") { Lod::COARSE } else { Lod::AUTO };
     let folder = tempfile::tempdir().expect("a folder");
     let session = Session::builder().memory(1 << 30).build().expect("a session");
     println!(
@@ -325,8 +326,7 @@ fn main() {
                     let (x, y) = (at % (size * parts) / parts, at / (size * parts) / parts);
                     truths[(y * size + x) as usize] += f64::from(fine[3]) / f64::from(parts * parts);
                 }
-                let far =
-                    Far::new(&object, case.unit_distance, (&camera, size, size), Lod::AUTO).expect("a file");
+                let far = Far::new(&object, case.unit_distance, (&camera, size, size), lod).expect("a file");
                 let far = far.expect("aggregates");
                 let seen = opacities(&far, (&camera, size, size));
                 let count = f64::from(size * size);

@@ -292,14 +292,15 @@ pub enum Lod {
     /// of clouds whose files have aggregates.
     Footprint(f32),
     /// The same, but what is seen of a cell is spread over a pixel, not over one that is taken to
-    /// be so wide: as sharp, grainy where points are sparse, and traced in less time. For pictures
-    /// that move.
-    Draft(f32),
+    /// be so wide: as sharp, and traced in less time; grainy, and thin surfaces let light through.
+    Coarse(f32),
 }
 
 impl Lod {
     /// Cells as wide as a pixel.
     pub const AUTO: Self = Self::Footprint(1.0);
+    /// Cells of two pixels: gas looks as from those of one.
+    pub const COARSE: Self = Self::Coarse(2.0);
     /// The least and the largest factor.
     pub const FACTORS: (f32, f32) = (1.0 / 16.0, 64.0);
 
@@ -309,7 +310,7 @@ impl Lod {
         match self {
             Self::Off => None,
             Self::Footprint(factor) => Some((factor.into(), 1.0)),
-            Self::Draft(factor) => Some((factor.into(), 1.0 / f64::from(factor))),
+            Self::Coarse(factor) => Some((factor.into(), 1.0 / f64::from(factor))),
         }
     }
 

@@ -346,7 +346,7 @@ fn check(scene: &Scene, settings: &RenderSettings) -> Result<(), RenderError> {
     if !(8..=1024).contains(&settings.cap_resolution) {
         return Err(SettingError::CapResolution(settings.cap_resolution).into());
     }
-    if let Lod::Footprint(factor) | Lod::Draft(factor) = settings.lod
+    if let Lod::Footprint(factor) | Lod::Coarse(factor) = settings.lod
         && Lod::footprint(factor.into()).is_none()
     {
         return Err(SettingError::Lod(factor).into());

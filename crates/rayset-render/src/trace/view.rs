@@ -57,7 +57,7 @@ impl PreparedScene {
         let world = &self.0.world;
         let steps = match settings.lod {
             Lod::Off => world.steps.clone(),
-            Lod::Footprint(_) | Lod::Draft(_) => {
+            Lod::Footprint(_) | Lod::Coarse(_) => {
                 StepRule::new(&world.program, &settings, Some(&rays.sight()))?
             }
         };

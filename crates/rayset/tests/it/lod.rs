@@ -71,7 +71,7 @@ fn pictures_from_afar_are_those_of_the_judge() {
         (OpacityRule::Clamp, 48, Lod::Footprint(0.4)),
         (OpacityRule::Extinction(0.5), 32, Lod::AUTO),
         (OpacityRule::Extinction(40.0), 24, Lod::Footprint(3.0)),
-        (OpacityRule::Clamp, 48, Lod::Draft(4.0)),
+        (OpacityRule::Clamp, 48, Lod::Coarse(4.0)),
     ] {
         object.transfer.opacity = rule;
         let (mean, most) = compare(&object, &camera, size, lod);
@@ -81,7 +81,7 @@ fn pictures_from_afar_are_those_of_the_judge() {
     build_at(&path, Box::new(source), &BuildOptions::default());
     add(&path);
     let (object, camera) = seen_from(&path, 3.0);
-    for lod in [Lod::Footprint(0.3), Lod::AUTO, Lod::Footprint(4.0), Lod::Draft(2.0), Lod::Draft(4.0)] {
+    for lod in [Lod::Footprint(0.3), Lod::AUTO, Lod::Footprint(4.0), Lod::Coarse(2.0), Lod::Coarse(4.0)] {
         let (mean, most) = compare(&object, &camera, 24, lod);
         assert!(mean < 2e-3 && most < 0.02, "mixed {lod:?}: {mean}, {most}");
     }
@@ -165,7 +165,7 @@ fn pictures_from_afar_depend_on_no_execution_setting() {
     add(&path);
     let (object, camera) = seen_from(&path, 4.0);
     let scene = lit(object);
-    for lod in [Lod::Footprint(0.5), Lod::Footprint(2.0), Lod::Draft(3.0)] {
+    for lod in [Lod::Footprint(0.5), Lod::Footprint(2.0), Lod::Coarse(3.0)] {
         let settings = settings(40, 32).with_lod(lod);
         let with = |exec: &ExecSettings, budget: u64| {
             bits(&picture(&scene, &camera, &settings, exec, &paged(&scene, budget)).expect("a picture"))
@@ -254,7 +254,7 @@ fn footprints_out_of_range_are_refused() {
     let (object, camera) = seen_from(&path, 4.0);
     let scene = lit(object);
     for factor in [0.0, -1.0, 65.0, f32::NAN, f32::INFINITY] {
-        for lod in [Lod::Footprint(factor), Lod::Draft(factor)] {
+        for lod in [Lod::Footprint(factor), Lod::Coarse(factor)] {
             let (settings, exec) = (settings(8, 8).with_lod(lod), ExecSettings::default());
             let refused = picture(&scene, &camera, &settings, &exec, &paged(&scene, 1 << 30));
             assert!(refused.expect_err("refused").to_string().contains("level of detail"));

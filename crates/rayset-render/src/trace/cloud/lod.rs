@@ -21,7 +21,8 @@ const WIDEST_CELL: f64 = 2.0;
 pub(in crate::trace) struct CloudLod {
     /// How wide pixels are taken to be, in pixels.
     factor: f64,
-    /// How much farther than itself what is seen reaches, in pixels as wide as they are taken to be.
+    /// How much farther than itself what is seen reaches, in pixels as wide as they are taken to
+    /// be.
     beyond: f64,
     pub(super) aggregates: AggregateHeader,
     pub(super) decoder: FarDecoder,
