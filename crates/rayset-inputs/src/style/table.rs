@@ -28,9 +28,8 @@ options! {
         samples: Samples = Rays;
         /// Exposure in stops, -32 to 32: light is multiplied by two to this power
         exposure: f64 = Number(-32.0, 32.0);
-        /// Level of detail, of clouds with aggregates: off (every point is seen), auto, coarse
-        /// (cells twice as wide, for gas), or how many times as wide pixels are taken to be, 0.0625
-        /// to 64. coarse of gas, off otherwise
+        /// Level of detail, of clouds with aggregates: off (every point is seen), auto, or how
+        /// many times as wide pixels are taken to be, 0.0625 to 64. auto of gas, off otherwise
         lod: Lod = Detail;
     }
     Look {
