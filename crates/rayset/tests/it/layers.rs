@@ -140,3 +140,21 @@ fn layers_are_the_same_whatever_the_means_and_change_no_colour() {
     }
     assert!(first.pixels == crate::common::plain_picture(&scene, &settings));
 }
+
+#[test]
+fn depths_alone_are_those_of_all_layers_and_change_no_colour() {
+    let Parts { cloud, other, _folder } = parts();
+    let veil = soft(Form::Sphere { radius: 0.6 }, [0.3, 0.6, 0.9], 0.3);
+    let scene = scene(Node::operator(Operator::Union, [cloud, other, veil]), vec![]);
+    let settings = settings(24, 20);
+    let all = layered(&scene, &camera(), &settings, &ExecSettings::default(), 10_000);
+    let with_depths = RenderSettings { depths: true, ..settings };
+    let paged = paged(&scene, 10_000 * (16 << 10));
+    let seen = render_once(&scene, &camera(), &with_depths, &ExecSettings::default(), &paged);
+    let alone = seen.expect("a picture").0;
+    let known = |l: &LayerPixel| (l.depth.to_bits(), l.opacity.to_bits());
+    assert!(alone.layers.iter().map(known).eq(all.layers.iter().map(known)));
+    assert!(all.layers.iter().any(|l| l.depth.is_finite() && l.samples > 0 && l.normal != [0.0; 3]));
+    assert!(alone.layers.iter().all(|l| l.samples == 0 && l.normal == [0.0; 3]));
+    assert!(alone.pixels == all.pixels);
+}
