@@ -145,9 +145,7 @@ impl PackedRun {
         if values.capacity() < needed || values.capacity() > 2 * needed {
             values = Vec::with_capacity(needed);
         }
-        if run.len > 0 {
-            run.each_column(|column| values.extend_from_slice(column));
-        }
+        run.each_column(|column| values.extend_from_slice(column));
         *self = Self {
             len: run.len as u8,
             center: run.center,
@@ -277,6 +275,10 @@ mod tests {
             packed.keep(key(3, number as u16), &mut run(len, has_map, attributes, labels));
         }
         for (number, &(len, has_map, attributes, labels)) in kinds.iter().enumerate() {
+            if len == 0 {
+                assert!(packed.is_empty_run(key(3, number as u16)));
+                continue;
+            }
             for before in kinds {
                 let mut found = run(before.0, before.1, before.2, before.3);
                 found.may_be_wide = true;
@@ -288,10 +290,8 @@ mod tests {
                 assert_eq!((found.center, found.reach, found.size), (was.center, was.reach, was.size));
                 assert_eq!(found.plates.of_run.high, if has_map { was.plates.of_run.high } else { 0.0 });
                 assert!(found.has_plates == has_map && !found.may_be_wide && found.radius_min == 0.25);
-                if len > 0 {
-                    assert_eq!(found.chunk_reach_squared, was.chunk_reach_squared);
-                    assert_eq!(columns(&mut found), columns(&mut was));
-                }
+                assert_eq!(found.chunk_reach_squared, was.chunk_reach_squared);
+                assert_eq!(columns(&mut found), columns(&mut was));
             }
         }
         let mut found = run(1, false, 0, 0);
