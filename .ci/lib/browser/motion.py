@@ -31,11 +31,9 @@ def a_moving_picture_shows_each_place_where_the_camera_sees_it(browser, server, 
         warp.take(camera, { columns, rows, nearest: 5, farthest: 5 * Math.hypot(1, 0.5, 1), parts }, picture, 2);
         const red = (moved) => {
             const drawn = warp.draw({ ...camera, position: [1e6 + moved, 0, 5] }, 2);
-            // What is drawn may have more pixels than the picture.
-            const finer = drawn.width / columns;
-            const data = drawn.getContext("2d").getImageData(0, drawn.height / 2, drawn.width, 1).data;
-            const at = [...Array(drawn.width).keys()].filter((i) => data[4 * i] > 128);
-            return [Math.min(...at) / finer, (Math.max(...at) + 1) / finer - 1];
+            const data = drawn.getContext("2d").getImageData(0, 50, columns, 1).data;
+            const at = [...Array(columns).keys()].filter((i) => data[4 * i] > 128);
+            return [Math.min(...at), Math.max(...at)];
         };
         return [red(0), red(1), red(-2)];
     })()""")

@@ -347,7 +347,8 @@ pub struct RenderSettings {
     pub max_depth: u32,
     /// Whether depth, shading vectors and other layers are computed besides colours.
     pub layers: bool,
-    /// Whether of layers depth and opacity alone are computed, if not all are. It takes less time.
+    /// Whether of layers depth and opacity alone are computed, if not all are: for tiles, and not
+    /// for bands or parts. It takes less time.
     pub depths: bool,
     /// How much darker surfaces become in creases and close behind edges, 0 (not at all, the
     /// default) to 4. Of whole pictures and regions alone: tiles that are handed out one by one are

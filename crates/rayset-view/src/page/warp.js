@@ -22,8 +22,6 @@ const SLOPE = 2.5;
 const FRINGE = 2;
 /** Holes of so many pixels within a surface are between its pixels: it has come nearer. */
 const CRACK = 4;
-/** Pixels of a picture with fewer columns would be seen as blocks: it is taken as one of twice as many. */
-const FEW = 300;
 /** What a page shows where nothing is known: `BEHIND` of the program, and of the style sheet. As the bytes of a pixel. */
 const UNKNOWN = 0xff312a26;
 
@@ -51,9 +49,8 @@ export class Warp {
    */
   take(camera, depths, picture, aspect) {
     this.#camera = null;
-    const { nearest, farthest, step = 0 } = depths;
-    if (!this.#context || depths.parts.length !== depths.columns * depths.rows || !(farthest < Infinity)) return;
-    const { columns, rows, parts } = depths.columns < FEW ? doubled(depths) : depths;
+    const { columns, rows, nearest, farthest, parts, step = 0 } = depths;
+    if (!this.#context || parts.length !== columns * rows || !(farthest < Infinity)) return;
     [this.#canvas.width, this.#canvas.height] = [columns, rows];
     this.#context.drawImage(picture, 0, 0, columns, rows);
     this.#colors = new Uint32Array(this.#context.getImageData(0, 0, columns, rows).data.buffer);
@@ -157,33 +154,6 @@ export class Warp {
     [this.#canvas.width, this.#canvas.height] = [columns, rows];
     this.#context.putImageData(image, 0, 0);
     return this.#canvas;
-  }
-}
-
-/** Distances of a picture of twice as many columns and rows. @param {Depths} depths @returns {Depths} */
-function doubled(depths) {
-  const { columns, rows, parts } = depths;
-  const wide = new Uint16Array(2 * parts.length);
-  for (let row = 0; row < rows; row++) between(parts, row * columns, wide, 2 * row * columns, 1, columns);
-  const both = new Uint16Array(4 * parts.length);
-  for (let column = 0; column < 2 * columns; column++) between(wide, column, both, column, 2 * columns, rows);
-  return { ...depths, columns: 2 * columns, rows: 2 * rows, parts: both };
-}
-
-/**
- * Makes two of each number of a line, each nearer to its neighbour on its side, unless there is an edge between them. Of a plane,
- * parts are right then.
- * @param {Uint16Array} from @param {number} first @param {Uint16Array} to @param {number} firstTo @param {number} step @param {number} count
- */
-function between(from, first, to, firstTo, step, count) {
-  for (let i = 0; i < count; i++) {
-    const own = from[first + i * step];
-    for (const side of [-1, 1]) {
-      const next = i + side;
-      const other = next < 0 || next >= count ? own : from[first + next * step];
-      const isOne = Math.abs(own - other) <= EDGE * Math.max(own, other);
-      to[firstTo + (2 * i + (side > 0 ? 1 : 0)) * step] = isOne ? Math.round(0.75 * own + 0.25 * other) : own;
-    }
   }
 }
 
