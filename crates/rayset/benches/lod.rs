@@ -282,7 +282,7 @@ fn built(case: &Case, folder: &Path) -> Arc<Cloud> {
 
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
-    let lod = if std::env::args().any(|arg| arg == "--coarse") { Lod::COARSE } else { Lod::AUTO };
+    let lod = if std::env::args().any(|arg| arg == "--coarse") { Lod::Coarse(2.0) } else { Lod::AUTO };
     let folder = tempfile::tempdir().expect("a folder");
     let session = Session::builder().memory(1 << 30).build().expect("a session");
     println!(

@@ -12,16 +12,26 @@ use rayset_files::octree::layout::RUN_POINTS;
 
 /// Fewest runs for which there is memory.
 const LEAST_RUNS: usize = 4;
-/// The part of memory for runs without points: one in so many.
+/// The part of memory for runs without points, one in so many, and the most bytes of one in a table
+/// of up to 16/7 places for each.
 const OF_EMPTY: usize = 16;
+const EMPTY_BYTES: usize = 16 * (size_of::<RunKey>() + 1) / 7;
+/// The part of memory for the table and the list of other runs, one in so many, and the most bytes
+/// of one in both: places that runs have left may double a table once, and the smaller one is there
+/// until then.
+const OF_TABLES: usize = 8;
+const TABLE_BYTES: usize = 3 * 16 * (size_of::<(RunKey, u64)>() + 1) / 7 + size_of::<Kept>();
 
 /// Packed runs in a part of memory. The oldest goes first; one that has been used meanwhile becomes
 /// the youngest instead.
 #[derive(Debug, Default)]
 pub(super) struct PackedRuns {
-    /// The most bytes of all.
+    /// The most bytes of the numbers of runs, and how many there are.
     room: usize,
     bytes: usize,
+    /// Most runs, and most of those without points: there is memory for so many in tables.
+    most_runs: usize,
+    most_empty: usize,
     /// Those without points: mostly as many as others.
     empty: HashSet<RunKey>,
     /// The numbers of others.
@@ -61,8 +71,19 @@ struct PackedRun {
 impl PackedRuns {
     /// Gives it so many bytes of memory, or none; it forgets all runs.
     pub(super) fn set_room(&mut self, bytes: usize) {
-        // A part for those without points, whose table is at most twice as large as what is in it.
-        *self = Self { room: bytes - bytes / OF_EMPTY, ..Self::default() };
+        let most_empty = bytes / OF_EMPTY / EMPTY_BYTES;
+        let most_runs = bytes / OF_TABLES / TABLE_BYTES;
+        // At once: tables that grow are there twice, and those that have grown stay.
+        *self = Self {
+            room: bytes - bytes / OF_EMPTY - bytes / OF_TABLES,
+            bytes: 0,
+            most_runs,
+            most_empty,
+            empty: HashSet::with_capacity(most_empty),
+            number_of: HashMap::with_capacity(most_runs),
+            kept: VecDeque::with_capacity(most_runs),
+            oldest: 0,
+        };
     }
 
     /// Whether a run is known to have no points.
@@ -94,7 +115,7 @@ impl PackedRuns {
         }
         // The memory of one that goes is for it.
         let mut packed = PackedRun::default();
-        while self.bytes + needed.max(packed.bytes()) > self.room
+        while (self.bytes + needed.max(packed.bytes()) > self.room || self.kept.len() >= self.most_runs)
             && let Some(oldest) = self.take_oldest()
         {
             packed = oldest;
@@ -105,11 +126,10 @@ impl PackedRuns {
     }
 
     fn keep_empty(&mut self, key: RunKey) {
-        let most = self.room / (OF_EMPTY - 1) / (2 * size_of::<RunKey>());
-        if self.empty.len() >= most {
+        if self.empty.len() >= self.most_empty {
             self.empty.clear();
         }
-        if most > 0 {
+        if self.most_empty > 0 {
             self.empty.insert(key);
         }
     }
@@ -192,8 +212,7 @@ impl PackedRun {
     }
 
     fn bytes_of(numbers: usize) -> usize {
-        // Tables and lists are at most twice as large as what is in them.
-        2 * (size_of::<(RunKey, u64)>() + size_of::<Kept>()) + numbers * size_of::<f32>()
+        numbers * size_of::<f32>()
     }
 }
 

@@ -299,8 +299,6 @@ pub enum Lod {
 impl Lod {
     /// Cells as wide as a pixel.
     pub const AUTO: Self = Self::Footprint(1.0);
-    /// Cells of two pixels.
-    pub const COARSE: Self = Self::Coarse(2.0);
     /// The least and the largest factor.
     pub const FACTORS: (f32, f32) = (1.0 / 16.0, 64.0);
 

@@ -46,7 +46,8 @@ const ASKED_THEMSELVES: i32 = -4;
 const GRID_DETAIL: f64 = 2.0;
 
 /// Where points are seen from afar, steps are a fraction of no less than this many pixels: what is
-/// seen is as wide as a pixel.
+/// seen is as wide as a pixel. Where cells are coarse, it is less wide, and steps are too long for
+/// pictures at rest.
 const PIXEL_DETAIL: f64 = 1.6;
 /// Points with a radius of more pixels ask for steps by themselves: of smaller ones, at least
 /// 45 % is seen as Gaussians.
