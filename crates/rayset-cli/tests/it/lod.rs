@@ -130,17 +130,21 @@ fn gas_with_aggregates_is_seen_from_afar_by_one_ray_and_it_is_said() {
     succeeds(f, &["lod", "c.rset"]);
     let (from_afar, scene, said) = render(&[]);
     assert!(said.contains("small points are seen together"), "{said}");
-    assert_eq!((&scene["rendering"]["lod"], &scene["image"]["samples"]), (&"auto".into(), &1.into()));
+    assert_eq!((&scene["rendering"]["lod"], &scene["image"]["samples"]), (&"coarse".into(), &1.into()));
     assert_ne!(from_afar, whole);
     succeeds(f, &["render", "s.json", "-o", "again.png"]);
     assert_eq!(fs::read(f.join("again.png")).expect("a picture"), from_afar, "the written scene");
     let (off, scene, said) = render(&["--lod", "off"]);
     assert_eq!((off, &scene["rendering"]["lod"]), (whole, &"off".into()), "{said}");
-    succeeds(f, &["render", "s.json", "--lod", "auto", "--samples", "1", "-o", "again.png"]);
+    succeeds(f, &["render", "s.json", "--lod", "coarse", "--samples", "1", "-o", "again.png"]);
     assert_eq!(fs::read(f.join("again.png")).expect("a picture"), from_afar, "a scene, otherwise");
-    let (wider, scene, _) = render(&["--lod", "3"]);
-    assert_eq!(scene["rendering"]["lod"], 3.0);
-    assert_ne!(wider, from_afar);
+    let other = ["auto", "3"].map(|lod| {
+        let (picture, scene, _) = render(&["--lod", lod]);
+        assert_ne!(picture, from_afar, "{lod}");
+        (picture, scene["rendering"]["lod"].clone())
+    });
+    assert!(other[0].1 == "auto" && other[1].1 == 3.0, "{other:?}");
+    assert_ne!(other[0].0, other[1].0);
     // Aggregates of another kernel are of no use.
     let (_, scene, _) = render(&["--kernel", "chen"]);
     assert!(scene["rendering"]["lod"].is_null() && scene["image"]["samples"] == "auto");
@@ -153,7 +157,7 @@ fn what_is_no_level_of_detail_is_refused_with_what_is() {
     with_gas(f, "cube-1k");
     for value in ["on", "0", "65", "nan"] {
         let said = fails(f, &["render", "c.rset", "--lod", value, "-o", "p.png"]);
-        assert!(said.contains("off, auto or a number from 0.0625 to 64"), "{said}");
+        assert!(said.contains("off, auto, coarse or a number from 0.0625 to 64"), "{said}");
     }
     let scene = r#"{"rayset": 1, "rendering": {"lod": "on"}, "root": {"type": "cloud", "file": "c.rset"}}"#;
     fs::write(f.join("s.json"), scene).expect("a write");
@@ -187,5 +191,5 @@ fn what_is_built_of_gas_to_be_shown_has_aggregates() {
         ["render", "p.ply", "--look", "gas", "--size", "8x8", "-o", "p.png", "--write-scene", "s.json"];
     succeeds(f, &[&render[..], &["--cache", "kept"]].concat());
     let scene = fs::read_to_string(f.join("s.json")).expect("a scene");
-    assert!(scene.contains(r#""lod": "auto""#), "{scene}");
+    assert!(scene.contains(r#""lod": "coarse""#), "{scene}");
 }

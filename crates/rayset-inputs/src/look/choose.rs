@@ -374,7 +374,7 @@ fn see_from_afar(cloud: &Cloud, style: &Style, scene: &mut Value) -> &'static st
     if !is_right || style.lod == Some(Lod::Off) {
         return "";
     }
-    scene["rendering"]["lod"] = json!("auto");
+    scene["rendering"]["lod"] = json!("coarse");
     // Of what is narrower than a pixel, one ray does not see all.
     if !matches!(style.lod, Some(Lod::Footprint(factor)) if factor < 1.0) {
         scene["image"]["samples"] = json!(1);

@@ -204,7 +204,7 @@ impl Kind<Samples> for Rays {
     }
 }
 
-/// Level of detail: `off`, `auto`, or a factor on the width of pixels.
+/// Level of detail: `off`, `auto`, `coarse`, or a factor on the width of pixels.
 pub(crate) struct Detail;
 
 impl Kind<Lod> for Detail {
@@ -212,15 +212,17 @@ impl Kind<Lod> for Detail {
         let known = match text.trim() {
             "off" => Some(Lod::Off),
             "auto" => Some(Lod::AUTO),
+            "coarse" => Some(Lod::COARSE),
             number => number.parse().ok().and_then(Lod::footprint),
         };
-        known.ok_or_else(|| format!("`{text}` is not off, auto or a number from 0.0625 to 64"))
+        known.ok_or_else(|| format!("`{text}` is not off, auto, coarse or a number from 0.0625 to 64"))
     }
 
     fn text(&self, value: &Lod) -> String {
         match value {
             Lod::Footprint(factor) if *value != Lod::AUTO => factor.to_string(),
             Lod::Footprint(_) => "auto".to_owned(),
+            Lod::Coarse(_) => "coarse".to_owned(),
             _ => "off".to_owned(),
         }
     }

@@ -109,6 +109,11 @@ impl FarDecoder {
         self.colors_densities && channel >= self.channel(FarChannel::Color)
     }
 
+    /// With pixels as wide as those over which what is seen is spread.
+    pub(crate) fn sharp(&self, sight: &Sight) -> Sight {
+        Sight { pixel: sight.pixel * self.spread, ..*sight }
+    }
+
     /// The first channel of the closure.
     pub(super) fn first_of_closure(&self) -> usize {
         self.columns.channels()

@@ -148,7 +148,7 @@ impl DecodedRun {
         let first = decoder.first_of_closure();
         dispatch!(simd.level(), _simd => {
             let FarScratch { parts, points, clusters, spread } = scratch;
-            set_points(points, decoder, self, (parts, sight));
+            set_points(points, decoder, self, (parts, &decoder.sharp(sight)));
             let carried = |channel| channel < first || decoder.is_color(channel);
             clusters.set(self, (points, &parts.of_mass), (cells, corner), carried);
             self.len = clusters.len;

@@ -6,8 +6,9 @@
 //! the place of those of half its edge that would be below it, too: otherwise each of its points
 //! would be looked at for a part that is hardly seen. For the same reason it does so wholly from
 //! ρ = e/√2 on. A point of radius r that is seen by itself is a density by S(2·log₂(r/(h·ρ)) + ½),
-//! and a Gaussian like aggregates by the rest. h is 1 for balls, and 2^¾ for ellipsoids: thin ones
-//! ask for fine steps where they are densities.
+//! and a Gaussian like aggregates by the rest; here ρ is what Gaussians are spread over, which is
+//! less for coarse cells. h is 1 for balls, and 2^¾ for ellipsoids: thin ones ask for fine steps
+//! where they are densities.
 
 /// Least part that is not left out.
 pub(crate) const LEAST_PART: f64 = 1e-6;

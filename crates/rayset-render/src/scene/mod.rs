@@ -292,13 +292,16 @@ pub enum Lod {
     /// of clouds whose files have aggregates.
     Footprint(f32),
     /// The same, but what is seen of a cell is spread over a pixel, not over one that is taken to
-    /// be so wide: as sharp, and traced in less time; grainy, and thin surfaces let light through.
+    /// be so wide, and points are densities from a pixel on: as sharp, and traced in less time.
+    /// With cells of four pixels and more it is grainy, and thin surfaces let light through.
     Coarse(f32),
 }
 
 impl Lod {
     /// Cells as wide as a pixel.
     pub const AUTO: Self = Self::Footprint(1.0);
+    /// Cells as wide as two pixels, for gas: hardly to be told from [`AUTO`](Self::AUTO) there.
+    pub const COARSE: Self = Self::Coarse(2.0);
     /// The least and the largest factor.
     pub const FACTORS: (f32, f32) = (1.0 / 16.0, 64.0);
 

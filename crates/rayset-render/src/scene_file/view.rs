@@ -92,10 +92,11 @@ fn lod(at: &Cursor<'_>) -> Result<Lod, SceneFileError> {
     let known = match at.value.as_str() {
         Some("off") => Some(Lod::Off),
         Some("auto") => Some(Lod::AUTO),
+        Some("coarse") => Some(Lod::COARSE),
         Some(_) => None,
         None => at.number(0.0, f64::MAX).ok().and_then(Lod::footprint),
     };
-    known.ok_or_else(|| at.expected("\"off\", \"auto\" or a number from 0.0625 to 64"))
+    known.ok_or_else(|| at.expected("\"off\", \"auto\", \"coarse\" or a number from 0.0625 to 64"))
 }
 
 fn step(rendering: &Object<'_>) -> Result<Step, SceneFileError> {

@@ -115,9 +115,10 @@ impl Gathering<'_> {
         let bounds = run.head.position_bounds(cloud.root_cell);
         let (sight, radius_max) = (seen.sight, f64::from(run.head.radius_max()));
         let [faint, whole] = DENSITY_FADE.map(|radius| radius * half_density(header.shape.is_some()));
+        let sharp = seen.lod.decoder.sharp(sight);
         let is_nothing = match what {
-            RunPart::Whole | RunPart::Density => radius_max <= faint * sight.least_pixel_in(&bounds),
-            RunPart::Spread(_) => f64::from(header.radius.min()) >= whole * sight.largest_pixel_in(&bounds),
+            RunPart::Whole | RunPart::Density => radius_max <= faint * sharp.least_pixel_in(&bounds),
+            RunPart::Spread(_) => f64::from(header.radius.min()) >= whole * sharp.largest_pixel_in(&bounds),
         };
         if is_nothing {
             return Ok(());
@@ -138,7 +139,7 @@ impl Gathering<'_> {
                         let root = (cloud.root_cell.min, cloud.root_cell.size);
                         out.spread_points(&seen.lod.decoder, far, root, (sight, simd));
                     }
-                    _ => out.fade_points(&far.parts, sight, (step, simd)),
+                    _ => out.fade_points(&far.parts, &seen.lod.decoder.sharp(sight), (step, simd)),
                 }
                 Ok(())
             })

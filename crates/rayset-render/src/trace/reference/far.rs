@@ -250,7 +250,7 @@ impl Far {
     fn density_part(&self, index: usize) -> f64 {
         let point = self.file.points[index];
         let half = half_density(self.object.cloud.header().shape.is_some());
-        density_part(point.radius, half * self.sight.pixel_at(point.position))
+        density_part(point.radius, half * self.spread * self.sight.pixel_at(point.position))
     }
 
     /// Adds clusters of points that follow each other.
