@@ -87,6 +87,25 @@ fn pictures_from_afar_are_those_of_the_judge() {
     }
 }
 
+/// Cells of two to four pixels are seen in part, and their points, of one to two pixels in radius,
+/// as densities by the rest.
+#[test]
+fn points_of_a_pixel_are_densities_beside_coarse_cells_as_the_judge_has_it() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let mut random = Random(23);
+    let position = (0..20_000).map(|_| [0; 3].map(|_| 2.0 * random.unit() - 1.0)).collect();
+    let asked = BuildOptions { radius: Some(Rule::Number(0.11)), ..BuildOptions::default() };
+    build_at(&path, Box::new(ArraySource::new(position, Vec::new())), &asked);
+    add(&path);
+    let (mut object, camera) = seen_from(&path, 4.0);
+    object.transfer.opacity = OpacityRule::Extinction(0.002);
+    for size in [34, 38, 42] {
+        let (mean, most) = compare(&object, &camera, size, Lod::COARSE);
+        assert!(mean < 1e-5 && most < 1e-4, "{size}: {mean}, {most}");
+    }
+}
+
 /// Points that are densities overlap others that are seen from afar: their colours are those of the
 /// density of both.
 #[test]
