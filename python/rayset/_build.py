@@ -39,6 +39,7 @@ def build(
     length_scale: float = 1.0,
     temp_dir: _arguments.PathLike | None = None,
     columns: Sequence[str] | None = None,
+    lod: bool | None = None,
     executor: Any = None,
     timeout: float = 60,
 ) -> Cloud:
@@ -69,7 +70,7 @@ def build(
     path
         The file to build; it appears under its name when it is complete. In memory if ``None``.
     memory
-        Most bytes that the build allocates, as ``"8GiB"``; 1 GiB by default. What does not fit goes through temporary files in
+        Most bytes that the build allocates, as ``"8GiB"``; 1 GiB by default. Aggregates (`lod`) need at least 24 MiB. What does not fit goes through temporary files in
         ``temp_dir``, or beside the output. Arrays, and a cloud in memory, are not counted.
     progress
         ``True`` for a bar, or a callable of what is being done, how much of it is done, and how much there is.
@@ -91,6 +92,10 @@ def build(
         How exactly positions are stored: a fraction of the radius (1/4096), or ``"exact"``.
     columns
         Names of the columns of text files and of arrays in files, as in ``["x", "y", "z", "-", "intensity"]``; ``"-"`` leaves one out.
+    lod
+        Whether the file at `path` gets aggregates, which stand for its points from afar: pictures of it take a part of the time. By
+        default, clouds of 200 000 points and more that are shown as gas get them. They are added when the cloud is built: who stops then,
+        or gives too little memory, has a cloud without them. A cloud in memory has none. See ``docs/lod.md``.
     executor
         A client of ``dask.distributed``: its workers build the cloud of files or arrays, the very same, to a `path`; all of them see it and the
         files, and arrays are put beside it meanwhile. `memory` is then for each worker; half of what it may use, by default. See ``docs/python.md``, "Many machines".
@@ -108,6 +113,10 @@ def build(
     if isinstance(shape, str) and shape == "fluid" and radius is not None and not isinstance(radius, str):
         raise ValueError("shape=\"fluid\": radii are measured; give none, and radius_scale if need be")
     has_arrays = not isinstance(shape, str) or normals is not None
+    if lod is not None and not isinstance(lod, (bool, np.bool_)):
+        raise TypeError(f"lod={lod!r}: expected True, False or None")
+    if lod and path is None:
+        raise TypeError("lod: say path=, the file to build; a cloud in memory has no aggregates")
     if isinstance(classes, str):
         raise TypeError(f"classes={classes!r}: expected a list of names, as in [{classes!r}]")
     is_of_files = _points.are_files(positions)
@@ -136,16 +145,17 @@ def build(
         "memory": _arguments.memory_bytes(memory),
         "threads": _arguments.thread_count(threads),
         "temp_dir": None if temp_dir is None else str(_arguments.path(temp_dir, "temp_dir")),
+        "lod": None if lod is None else bool(lod),
     }
     names = tuple(classes)
     with Told(progress) as told:
         if is_of_files:
             points = _points.described(positions, columns, attributes, options["path"], {"color": color, "classes": classes})
-            built, skipped = _points.built(points, options | {"attributes": []}, executor, timeout, told)
+            built = _points.built(points, options | {"attributes": []}, executor, timeout, told)
         elif isinstance(positions, Iterator):
             if radii is not None or weights is not None or color is not None or attributes:
                 raise TypeError("chunks bring their own columns: yield {\"positions\": ..., \"radius\": ..., \"T\": ...} instead of arrays")
-            built, skipped = _from_chunks(positions, names, options, told)
+            built = _from_chunks(positions, names, options, told)
         else:
             gathered = _gathered(positions, radii, weights, color, attributes, names)
             given: tuple[str, ...] = () if isinstance(shape, str) else _arrays.SEMI_AXES + _arrays.ROTATION
@@ -162,13 +172,13 @@ def build(
             if executor is not None:
                 from ._executor import builds
 
-                made = builds.build_arrays(executor, gathered, options, options["memory"], _arguments.seconds(timeout), told)
-                _warn_of(made[1])
-                return Cloud(made[0])
-            arrays = [(one.named(), one.values) for one in gathered.columns]
-            built, skipped = _native.build_arrays(gathered.positions, arrays, options, told)
-    _warn_of(skipped)
-    return Cloud(built)
+                built = builds.build_arrays(executor, gathered, options, options["memory"], _arguments.seconds(timeout), told)
+            else:
+                arrays = [(one.named(), one.values) for one in gathered.columns]
+                built = _native.build_arrays(gathered.positions, arrays, options, told)
+    cloud, skipped, warned = built
+    _warn_of(skipped, warned)
+    return Cloud(cloud)
 
 
 def _refuse_twice(given: tuple[str, ...], attributes: Any) -> None:
@@ -197,7 +207,7 @@ def _gathered(
 
 def _from_chunks(
     chunks: Iterator[Any], classes: tuple[str, ...], options: dict[str, Any], told: Any
-) -> tuple[_native.CloudFile, tuple[int, int, int]]:
+) -> _native.Built:
     for number, chunk in enumerate(chunks, start=1):
         first = _arrays.of_chunk(chunk, classes, number)
         if len(first.positions):
@@ -237,11 +247,13 @@ def _precision(value: float | str | None) -> float | None:
     return _arguments.number(value, "precision", 1e-12, 1.0)
 
 
-def _warn_of(skipped: Sequence[int]) -> None:
+def _warn_of(skipped: Sequence[int], warned: Sequence[str]) -> None:
     reasons = ("no usable position", "no positive radius", "no finite weight")
     found = [f"{count} have {reason}" for count, reason in zip(skipped, reasons) if count]
     if found:
         warnings.warn(f"skipped {sum(skipped)} points: {', '.join(found)}", RaysetWarning, stacklevel=3)
+    for text in warned:
+        warnings.warn(text, RaysetWarning, stacklevel=3)
 
 
 def build_grid(

@@ -49,17 +49,17 @@ def described(positions: Any, columns: Sequence[str] | None, attributes: Any, ou
 
 def built(
     points: dict[str, Any], options: dict[str, Any], executor: Any, timeout: float, told: Any
-) -> tuple[_native.CloudFile, tuple[int, int, int]]:
-    """Builds the cloud. Returns it with what was skipped."""
+) -> _native.Built:
+    """Builds the cloud."""
     if executor is None:
-        made, skipped, remarks = _native.build_files(points, options, told)
+        made, remarks = _native.build_files(points, options, told)
     else:
         from ._executor import builds
 
-        made, skipped, remarks = builds.build(executor, points, options, options["memory"], _arguments.seconds(timeout), told)
+        made, remarks = builds.build(executor, points, options, options["memory"], _arguments.seconds(timeout), told)
     for remark in remarks:
         _log.info("%s", remark)
-    return made, skipped
+    return made
 
 
 def refuse(executor: Any, is_of_chunks: bool, path: Any, threads: Any, temp_dir: Any) -> None:

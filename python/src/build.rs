@@ -11,6 +11,7 @@ use rayset::build::{
 use rayset::points::PointSource;
 use rayset::{CancelToken, Cloud};
 
+use crate::aggregates;
 use crate::arrays::{ArraySource, HeldColumn, HeldPositions, Named, Pinned};
 use crate::chunks::{Chunk, ChunkSource, Raised};
 use crate::errors::{self, Kind};
@@ -49,6 +50,9 @@ pub(crate) struct Options {
     threads: Option<usize>,
     #[pyo3(item)]
     temp_dir: Option<PathBuf>,
+    /// Whether a file gets aggregates; those of gas if `None`.
+    #[pyo3(item)]
+    pub(crate) lod: Option<bool>,
 }
 
 #[derive(FromPyObject)]
@@ -98,15 +102,18 @@ impl Options {
 /// What a point of a cloud takes at least.
 const LEAST_POINT_BYTES: u64 = 6;
 
-/// Builds a cloud of arrays. Returns it with the numbers of records that were skipped for their
-/// positions, radii and weights.
+/// A cloud; the numbers of records that were skipped for their positions, radii and weights; and
+/// what a person should be warned of.
+pub(crate) type Built = (CloudFile, [u64; 3], Vec<String>);
+
+/// Builds a cloud of arrays.
 #[pyfunction]
 pub(crate) fn build_arrays(
     positions: &Bound<'_, PyUntypedArray>,
     columns: Vec<(Named, Bound<'_, PyUntypedArray>)>,
     options: Options,
     told: Option<&Bound<'_, PyAny>>,
-) -> PyResult<(CloudFile, [u64; 3])> {
+) -> PyResult<Built> {
     let py = positions.py();
     if options.path.is_none() {
         let points = positions.shape().first().copied().unwrap_or(0) as u64;
@@ -145,7 +152,7 @@ pub(crate) fn build_chunks(
     chunks: Py<PyAny>,
     options: Options,
     told: Option<&Bound<'_, PyAny>>,
-) -> PyResult<(CloudFile, [u64; 3])> {
+) -> PyResult<Built> {
     let raised = Raised::default();
     let source = ChunkSource::new(py, &first, names, chunks, raised.clone())?;
     drop(first);
@@ -158,23 +165,30 @@ fn run(
     options: &Options,
     told: Option<&Bound<'_, PyAny>>,
     raised: &Raised,
-) -> PyResult<(CloudFile, [u64; 3])> {
+) -> PyResult<Built> {
     let (cancel, progress) = (CancelToken::new(), Progress::default());
     let of_library = options.of_library();
     let work = || {
         let control = BuildControl::from(&progress as &dyn build::Progress).with_cancel(&cancel);
         let builder = Cloud::builder().sources([source]).options(of_library).control(control);
         match &options.path {
-            Some(path) => builder.write(path).map(|report| (None, report)),
-            None => builder.build_reported().map(|(cloud, report)| (Some(cloud), report)),
+            Some(path) => {
+                let report = builder.write(path)?;
+                Ok((None, report, aggregates::add(path, options, &progress, &cancel)?))
+            }
+            None => {
+                let (cloud, report) = builder.build_reported()?;
+                Ok((Some(cloud), report, Vec::new()))
+            }
         }
     };
     let outcome = wait::run(py, &cancel, &progress, told, work);
     if let Some(error) = lock(raised).take() {
         return Err(error);
     }
-    let (cloud, report) = outcome?.map_err(|error| errors::of_build(py, error))?;
-    opened(py, cloud, &report, options)
+    let (cloud, report, warnings) = outcome?.map_err(|error| errors::of_input(py, error))?;
+    let (cloud, skipped) = opened(py, cloud, &report, options)?;
+    Ok((cloud, skipped, warnings))
 }
 
 /// Opens what was built. Returns it with the numbers of records that were skipped.

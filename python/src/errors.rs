@@ -4,7 +4,7 @@
 use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyType;
-use rayset::build::{BuildError, GridBuildError};
+use rayset::build::{AggregateError, BuildError, GridBuildError};
 use rayset::parts::PartError;
 use rayset::scene_file::SceneFileError;
 use rayset::storage::redacted;
@@ -116,8 +116,19 @@ pub(crate) fn of_scene(py: Python<'_>, error: &SceneFileError) -> PyErr {
     self::error(py, Kind::Scene, format!("{key}{}", error.what))
 }
 
+fn of_aggregates(py: Python<'_>, error: &AggregateError, words: String) -> PyErr {
+    match error {
+        AggregateError::Cancelled => self::error(py, Kind::Cancelled, words),
+        AggregateError::Memory { .. } => self::error(py, Kind::Memory, words),
+        _ => self::error(py, Kind::Build, words),
+    }
+}
+
 /// Errors of opening any input, which may be those of a build.
 pub(crate) fn of_input(py: Python<'_>, error: anyhow::Error) -> PyErr {
+    if let Some(cause) = error.downcast_ref::<AggregateError>() {
+        return of_aggregates(py, cause, format!("{error:#}"));
+    }
     match error.downcast::<BuildError>().map_err(anyhow::Error::downcast::<GridBuildError>) {
         Ok(error) => of_build(py, error),
         Err(Ok(error)) => of_grid_build(py, error),

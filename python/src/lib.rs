@@ -1,6 +1,7 @@
 //! The module `rayset._native`: the engine, as the package's own Python uses it. What people call
 //! is in `rayset/*.py`; arguments come here checked and in one form.
 
+mod aggregates;
 mod arrays;
 mod build;
 mod chunks;

@@ -14,9 +14,10 @@ use rayset::points::{PointSource, ReadError, ReadOptions};
 use rayset::storage::address_of;
 use rayset_inputs::{Files, LeftOut};
 
-use crate::build::Options;
+use crate::aggregates;
+use crate::build::{Built, Options};
 use crate::errors;
-use crate::files::{CloudFile, Package};
+use crate::files::Package;
 use crate::wait::{self, Progress, lock};
 
 /// Files of points, and which of their columns are kept.
@@ -101,15 +102,14 @@ pub(crate) fn expand(
     found.map_err(|error| errors::of_input(py, error))
 }
 
-/// Builds a cloud of files. Returns it with the numbers of records that were skipped for their
-/// positions, radii and weights, and with what there is to say of the files.
+/// Builds a cloud of files. Returns it with what there is to say of the files.
 #[pyfunction]
 pub(crate) fn build_files(
     py: Python<'_>,
     points: Points,
     options: Options,
     told: Option<&Bound<'_, PyAny>>,
-) -> PyResult<(CloudFile, [u64; 3], Vec<String>)> {
+) -> PyResult<(Built, Vec<String>)> {
     let (cancel, progress) = (CancelToken::new(), Progress::default());
     let work = || {
         let open = points.open(options.of_library(), false, &progress, &cancel)?;
@@ -118,19 +118,22 @@ pub(crate) fn build_files(
             .with_cancel(&cancel)
             .with_leaving_out(&leaves_out);
         let builder = Cloud::builder().sources(open.sources).options(open.options).control(control);
-        let (cloud, report) = match &options.path {
-            Some(path) => (None, builder.write(path)?),
+        let (cloud, report, warnings) = match &options.path {
+            Some(path) => {
+                let report = builder.write(path)?;
+                (None, report, aggregates::add(path, &options, &progress, &cancel)?)
+            }
             None => {
                 let (cloud, report) = builder.build_reported()?;
-                (Some(cloud), report)
+                (Some(cloud), report, Vec::new())
             }
         };
         let said = report.remarks.iter().cloned().chain(open.left_out.remark());
         let remarks = open.remarks.into_iter().chain(said).collect();
-        Ok((cloud, report, remarks))
+        Ok((cloud, report, warnings, remarks))
     };
     let outcome = wait::run(py, &cancel, &progress, told, work)?;
-    let (cloud, report, remarks) = outcome.map_err(|error| errors::of_input(py, error))?;
+    let (cloud, report, warnings, remarks) = outcome.map_err(|error| errors::of_input(py, error))?;
     let (cloud, skipped) = crate::build::opened(py, cloud, &report, &options)?;
-    Ok((cloud, skipped, remarks))
+    Ok(((cloud, skipped, warnings), remarks))
 }

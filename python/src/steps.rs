@@ -7,6 +7,7 @@ use pyo3::prelude::*;
 use rayset::CancelToken;
 use rayset::build::{self, BuildControl, BuildError, BuildParts, BuildStep};
 
+use crate::aggregates;
 use crate::arrays::Named;
 use crate::build::{Options, with_arrays};
 use crate::errors;
@@ -101,7 +102,8 @@ pub(crate) fn run_step(
     wait::run(py, &cancel, &progress, told, work)?.map_err(|error| errors::of_build(py, error))
 }
 
-/// Merges all parts to a cloud file. Returns the numbers of records that were skipped.
+/// Merges all parts to a cloud file. Returns the numbers of records that were skipped, and what a
+/// person should be warned of.
 #[pyfunction]
 pub(crate) fn merge_parts(
     py: Python<'_>,
@@ -109,13 +111,15 @@ pub(crate) fn merge_parts(
     path: PathBuf,
     options: Options,
     told: Option<&Bound<'_, PyAny>>,
-) -> PyResult<[u64; 3]> {
+) -> PyResult<([u64; 3], Vec<String>)> {
     let (cancel, progress) = (CancelToken::new(), Progress::default());
     let work = || {
         let control = BuildControl::from(&progress as &dyn build::Progress).with_cancel(&cancel);
-        parts.of_library()?.merge(&path, &options.of_library(), &control)
+        let report = parts.of_library()?.merge(&path, &options.of_library(), &control)?;
+        Ok((report, aggregates::add(&path, &options, &progress, &cancel)?))
     };
-    let report = wait::run(py, &cancel, &progress, told, work)?;
-    let skipped = report.map_err(|error| errors::of_build(py, error))?.skipped;
-    Ok([skipped.position, skipped.radius, skipped.weight])
+    let outcome = wait::run(py, &cancel, &progress, told, work)?;
+    let (report, warnings) = outcome.map_err(|error| errors::of_input(py, error))?;
+    let skipped = report.skipped;
+    Ok(([skipped.position, skipped.radius, skipped.weight], warnings))
 }

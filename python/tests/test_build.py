@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import gc
 import logging
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import points
+from conftest import points, program
 
 import rayset as rs
 
@@ -87,6 +88,44 @@ def test_a_file_and_memory_have_the_same_cloud(tmp_path: Path) -> None:
     in_memory.save(tmp_path / "b.rset")
     assert (tmp_path / "b.rset").read_bytes() == (tmp_path / "a.rset").read_bytes()
     assert rs.open((tmp_path / "b.rset").read_bytes()).identity == on_disk.identity
+
+
+def test_a_file_gets_the_aggregates_of_the_program(tmp_path: Path) -> None:
+    p = points(COUNT)
+    made = {lod: rs.build(p, path=tmp_path / f"{lod}.rset", lod=lod) for lod in (None, False, True)}
+    by_default, without, with_them = ((tmp_path / f"{lod}.rset").read_bytes() for lod in made)
+    assert by_default == without and len(with_them) > len(without), "by default, only those of much gas"
+    if (own := program()) is not None:
+        subprocess.run([own, "lod", tmp_path / "False.rset", "-o", tmp_path / "b.rset"], check=True, capture_output=True)
+        assert (tmp_path / "b.rset").read_bytes() == with_them
+    np.save(tmp_path / "p.npy", p)
+    of_file = []
+    for lod in (False, True):
+        rs.build(tmp_path / "p.npy", columns=["x", "y", "z"], path=tmp_path / "c.rset", lod=lod)
+        of_file.append((tmp_path / "c.rset").stat().st_size)
+    assert of_file[1] - of_file[0] == len(with_them) - len(without)
+    rs.build(iter([p[:1000], p[1000:]]), path=tmp_path / "d.rset", lod=True)
+    assert (tmp_path / "d.rset").read_bytes() == with_them
+
+
+def test_much_gas_gets_aggregates_by_default(tmp_path: Path) -> None:
+    p = points(200_000).astype("f4")
+    smoothed = {"radius": np.full(len(p), 0.1, "f4"), "weight": np.ones(len(p), "f4")}
+    sizes = []
+    for lod in (None, False):
+        rs.build(p, **smoothed, path=tmp_path / "a.rset", lod=lod)
+        sizes.append((tmp_path / "a.rset").stat().st_size)
+    assert sizes[0] > sizes[1]
+
+
+def test_points_without_aggregates_are_built_and_said(tmp_path: Path) -> None:
+    with pytest.warns(rs.RaysetWarning, match="has no aggregates"):
+        rs.build(points(50), radius=0.5, weight=-1, path=tmp_path / "a.rset", lod=True)
+    assert rs.open(tmp_path / "a.rset").points == 50
+    with pytest.raises(TypeError, match="lod: say path="):
+        rs.build(points(50), lod=True)
+    with pytest.raises(TypeError, match="lod='auto': expected True"):
+        rs.build(points(50), path=tmp_path / "b.rset", lod="auto")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("kind", ["u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8"])

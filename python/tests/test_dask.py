@@ -181,6 +181,9 @@ def test_a_build_of_arrays_has_the_bytes_of_one_process(client: Any, tmp_path: P
         assert len(made[0]) == len(made[1]) > 29_000
         assert (tmp_path / "there.rset").read_bytes() == (tmp_path / "here.rset").read_bytes()
         assert sorted(os.listdir(tmp_path)) == ["here.rset", "there.rset"]
+    for name, executor in (("here.rset", None), ("there.rset", client)):
+        rs.build(points(5000), path=tmp_path / name, executor=executor, lod=True)
+    assert (tmp_path / "there.rset").read_bytes() == (tmp_path / "here.rset").read_bytes()
     few = rs.build(points(1), radius=1, path=tmp_path / "few.rset", executor=client)
     assert len(few) == 1
 

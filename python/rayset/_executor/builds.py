@@ -26,15 +26,15 @@ Told = Callable[[str, int, int], Any]
 
 def build(
     executor: Any, points: dict[str, Any], options: dict[str, Any], memory: int | None, timeout: float, told: Told | None
-) -> tuple[_native.CloudFile, tuple[int, int, int], list[str]]:
-    """Builds a cloud of files to a file, both of which all workers see. Returns it with what was skipped, and what there is to say."""
+) -> tuple[_native.Built, list[str]]:
+    """Builds a cloud of files to a file, both of which all workers see. Returns it with what there is to say."""
     files = [_arguments.absolute(name) for name in points["files"]]
     return _built(executor, files, lambda *_: {**points, "files": files}, options, memory, timeout, told)
 
 
 def build_arrays(
     executor: Any, points: _arrays.Points, options: dict[str, Any], memory: int | None, timeout: float, told: Told | None
-) -> tuple[_native.CloudFile, tuple[int, int, int]]:
+) -> _native.Built:
     """Builds a cloud of arrays in the same way: each part has its rows as files in the folder in which parts meet, and reads them there."""
 
     def scatter(folder: Path, parts: int) -> dict[str, Any]:
@@ -47,8 +47,8 @@ def build_arrays(
             _tell(told, "scatter", part, parts)
         return {"named": [column.named() for column in points.columns]}
 
-    built, skipped, _ = _built(executor, [], scatter, options, memory, timeout, told)
-    return built, skipped
+    built, _ = _built(executor, [], scatter, options, memory, timeout, told)
+    return built
 
 
 def _built(
@@ -59,7 +59,7 @@ def _built(
     memory: int | None,
     timeout: float,
     told: Told | None,
-) -> tuple[_native.CloudFile, tuple[int, int, int], list[str]]:
+) -> tuple[_native.Built, list[str]]:
     """Builds a cloud of what `points` says to workers, given the folder in which parts meet and their number."""
     if _arguments.is_address(options["path"]):
         raise ValueError(
@@ -80,7 +80,7 @@ def _built(
     built, _ = _native.open_files([str(output)], None, True, None, None, None, 1 << 30, None, None)
     if not isinstance(built, _native.CloudFile):
         raise InputError(f"{output}: another process has put something else in the place of the cloud")
-    return built, merged.value, remarks
+    return (built, *merged.value), remarks
 
 
 def _steps(tasks: Tasks, job: worker.Build, told: Told | None) -> list[str]:

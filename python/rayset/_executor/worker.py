@@ -235,10 +235,12 @@ def rows_file(folder: Path, part: int, number: int) -> Path:
 
 
 def merge(terms: Terms, build: Build, path: str) -> Outcome:
-    """Merges the parts of a build; the value is how many records were skipped, and why."""
+    """Merges the parts of a build; the value is how many records were skipped, and why, and what there is to be warned of."""
 
     def work(worker: Any, told: Any) -> tuple[Any, list[str]]:
-        return _native.merge_parts(build.parts, path, _shared_out(build, worker, terms), told), []
+        # No other task of the build is left.
+        whole = {**_shared_out(build, worker, terms), "threads": worker.state.nthreads, "memory": max(1, terms.memory)}
+        return _native.merge_parts(build.parts, path, whole, told), []
 
     return _done(terms, work)
 
