@@ -185,6 +185,7 @@ impl Picture {
             "instance" => counts(|layer| layer.instance)?,
             "samples" => counts(|layer| layer.samples)?,
             "bytes" => numbers(|layer| layer.bytes)?,
+            "lod_error" => numbers(|layer| layer.lod_error)?,
             _ => return Err(errors::value(format!("no layer is called {name}"))),
         }))
     }

@@ -21,7 +21,7 @@ use crate::render::{self, Failure, Job, PIXEL_BYTES, Session};
 use crate::room;
 use crate::wait::{self, Progress};
 
-/// Most pixels of a part that are held while it is rendered; with layers they take 15 MiB.
+/// Most pixels of a part that are held while it is rendered; with layers they take 16 MiB.
 const HELD_PIXELS: u64 = 1 << 18;
 
 /// Names of the vector instructions of this processor, the best first, and whether they are of the

@@ -61,7 +61,7 @@ def scene_of(kind: str, folder: Path) -> rs.Scene:
 
 
 def are_same(a: rs.Image, b: rs.Image) -> bool:
-    layers = all(np.array_equal(getattr(a, name), getattr(b, name)) for name in ("linear", "depth", "normal", "albedo", "instance", "samples"))
+    layers = all(np.array_equal(getattr(a, name), getattr(b, name)) for name in ("linear", "depth", "normal", "albedo", "instance", "samples", "lod_error"))
     return layers and a._repr_png_() == b._repr_png_()
 
 

@@ -93,7 +93,7 @@ def _scene(number: int, folder: Path) -> dict[str, Any]:
 
 
 def _bits(image: rs.Image) -> list[bytes]:
-    return [getattr(image, name).tobytes() for name in ("linear", "depth", "normal", "albedo", "instance", "samples")]
+    return [getattr(image, name).tobytes() for name in ("linear", "depth", "normal", "albedo", "instance", "samples", "lod_error")]
 
 
 @pytest.fixture(scope="module")

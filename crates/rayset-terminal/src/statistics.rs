@@ -25,6 +25,17 @@ pub struct WorkStatistics {
     tiles_put_off: u64,
     slabs: u64,
     runs_decoded: u64,
+    /// Estimates of how wrong opacities are because of what is seen from afar.
+    pub lod_errors: LodErrors,
+}
+
+/// Estimated errors of the opacities of pixels.
+#[derive(serde::Serialize, Clone)]
+pub struct LodErrors {
+    /// The part of the pixels of which something is seen from afar; `None` if none was looked at.
+    pub pixels: Option<f64>,
+    /// The mean error over these.
+    pub mean: Option<f64>,
 }
 
 /// Pairs of one kind of ray.
@@ -61,6 +72,11 @@ impl From<RenderCounts> for WorkStatistics {
             tiles_put_off: counts.deferred,
             slabs: counts.slabs,
             runs_decoded: counts.runs,
+            lod_errors: LodErrors {
+                pixels: (counts.lod_errors.pixels > 0)
+                    .then(|| counts.lod_errors.from_afar as f64 / counts.lod_errors.pixels as f64),
+                mean: counts.lod_errors.mean(),
+            },
         }
     }
 }

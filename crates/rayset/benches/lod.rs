@@ -16,7 +16,7 @@ use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, Lod, OpacityRule, Projection, RenderSettings, Samples, Scene,
     Step, TransferFunction,
 };
-use rayset::trace::reference::far::{Far, opacities};
+use rayset::trace::reference::far::{Far, FarPixel, pixels};
 use rayset::{CancelToken, Cloud, Session};
 
 /// Rays of a part of a pixel of the truth: so many in half a spacing of points.
@@ -280,6 +280,26 @@ fn built(case: &Case, folder: &Path) -> Arc<Cloud> {
     Arc::new(Cloud::open(&path).expect("it opens"))
 }
 
+/// How errors compare with their bounds, in pixels of which something is seen from afar.
+#[derive(Default)]
+struct Told {
+    pixels: u64,
+    within: u64,
+    bounds: f64,
+    errors: f64,
+}
+
+impl Told {
+    fn add(&mut self, seen: &[FarPixel], errors: &[f64]) {
+        for (seen, error) in seen.iter().zip(errors).filter(|(seen, _)| seen.bound_of_error > 0.0) {
+            self.pixels += 1;
+            self.within += u64::from(error.abs() <= seen.bound_of_error);
+            self.bounds += seen.bound_of_error;
+            self.errors += error.abs();
+        }
+    }
+}
+
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
     let lod = if std::env::args().any(|arg| arg == "--coarse") { Lod::Coarse(2.0) } else { Lod::AUTO };
@@ -289,7 +309,7 @@ fn main() {
         "{:<22} {:<10} {:>5} {:>7} {:>7} {:>7} {:>7} {:>9} {:>9}",
         "scene", "opacity", "pixel", "truth", "bias", "error", "largest", "gaussians", "points"
     );
-    let mut all = Vec::new();
+    let (mut all, mut told) = (Vec::new(), Told::default());
     for case in cases() {
         if !wanted.is_empty() && !wanted.iter().any(|name| case.name.contains(name.as_str())) {
             continue;
@@ -328,9 +348,11 @@ fn main() {
                 }
                 let far = Far::new(&object, case.unit_distance, (&camera, size, size), lod).expect("a file");
                 let far = far.expect("aggregates");
-                let seen = opacities(&far, (&camera, size, size));
+                let seen = pixels(&far, (&camera, size, size));
                 let count = f64::from(size * size);
-                let errors: Vec<f64> = seen.iter().zip(&truths).map(|(is, truth)| is - truth).collect();
+                let errors: Vec<f64> =
+                    seen.iter().zip(&truths).map(|(is, truth)| is.opacity - truth).collect();
+                told.add(&seen, &errors);
                 let mean = truths.iter().sum::<f64>() / count;
                 let bias = errors.iter().sum::<f64>() / count;
                 let error = errors.iter().map(|error| error.abs()).sum::<f64>() / count;
@@ -352,5 +374,11 @@ fn main() {
         "{} cases: mean |bias| {mean:.3}, largest {most:.3}, within .05 {:.0} %",
         all.len(),
         100.0 * within
+    );
+    println!(
+        "{} pixels from afar: errors of {:.1} % within their bounds, of which the mean is {:.2} times that of errors",
+        told.pixels,
+        100.0 * told.within as f64 / told.pixels.max(1) as f64,
+        told.bounds / told.errors
     );
 }

@@ -64,8 +64,8 @@ pub use rayset_base::parse::ParseError;
 pub use rayset_files::{Cloud, Grid};
 pub use rayset_render::field::{SimdLevel, SplatCounts};
 pub use rayset_render::trace::{
-    BandSink, FinishedTile, Picture, Prediction, PreparedScene, Region, RenderCounts, RenderError, Session,
-    SessionBuilder, SettingError, SinkError, Tile, TileSink, View, Work,
+    BandSink, FinishedTile, LodErrors, Picture, Prediction, PreparedScene, Region, RenderCounts, RenderError,
+    Session, SessionBuilder, SettingError, SinkError, Tile, TileSink, View, Work,
 };
 pub use rayset_store::container::OpenError;
 

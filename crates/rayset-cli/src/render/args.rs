@@ -26,7 +26,7 @@ pub(crate) struct RenderArgs {
     #[arg(required = true)]
     pub(super) inputs: Vec<PathBuf>,
     /// Picture to write: PNG, or OpenEXR (.exr) in linear light with layers: depth, normal, albedo,
-    /// opacity, instanceId, samples, bytes. With --part, the part
+    /// opacity, instanceId, samples, bytes, lodError. With --part, the part
     #[arg(short, long)]
     pub(super) output: PathBuf,
     /// As many pictures from all around: the camera turns about the scene, OUTPUT gets numbers

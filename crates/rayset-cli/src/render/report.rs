@@ -9,7 +9,7 @@ use rayset::memory::MemoryPlan;
 use super::work::Work;
 use rayset_terminal::memory::peak_rss;
 use rayset_terminal::report;
-use rayset_terminal::statistics::{PageStatistics, WorkStatistics};
+use rayset_terminal::statistics::{LodErrors, PageStatistics, WorkStatistics};
 
 /// The report that `--stats` writes.
 #[derive(serde::Serialize)]
@@ -55,7 +55,17 @@ impl RenderReport {
             self.simd,
             self.peak_rss_bytes.map_or_else(String::new, |b| format!(", peak memory {}", report::bytes(b)))
         ));
+        self.describe_errors();
         self.describe_working_set();
+    }
+
+    /// One line on how wrong the picture may be because of what is seen from afar, if anything is.
+    fn describe_errors(&self) {
+        let LodErrors { pixels: Some(pixels), mean: Some(mean) } = self.counts.lod_errors else { return };
+        report::say(format_args!(
+            "seen from afar: {:.0} % of the pixels, whose opacities are off by about {mean:.3} in the mean",
+            100.0 * pixels
+        ));
     }
 
     /// One line on what the working set did.

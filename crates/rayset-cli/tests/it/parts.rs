@@ -305,7 +305,7 @@ fn damaged_parts_and_what_is_no_part_are_errors_that_say_where() {
     let mut later = whole.clone();
     later[8] = 9;
     let said = merged(&later).expect_err("another version");
-    assert!(said.contains("version 9 of parts, and this program reads version 1"), "{said}");
+    assert!(said.contains("version 9 of parts, and this program reads version 2"), "{said}");
     assert!(!f.join("p.png").exists(), "no half picture");
     for name in ["cloud.rset", "wave.xyz"] {
         let said = fails(f, &["merge", name, "-o", "p.png"]);

@@ -27,9 +27,18 @@ fn pictures_of_layers_read_back_as_they_were_and_crops_fit_into_them() {
     let (size, at, whole) = read("whole.exr");
     assert_eq!((size, at), ((70, 50), (0, 0)));
     let names: Vec<&str> = whole.iter().map(|(name, _)| name.as_str()).collect();
-    for name in
-        ["R", "A", "depth.Z", "normal.X", "albedo.G", "opacity.Y", "instanceId.Y", "samples.Y", "bytes.Y"]
-    {
+    for name in [
+        "R",
+        "A",
+        "depth.Z",
+        "normal.X",
+        "albedo.G",
+        "opacity.Y",
+        "instanceId.Y",
+        "samples.Y",
+        "bytes.Y",
+        "lodError.Y",
+    ] {
         assert!(names.contains(&name), "{names:?}");
     }
     let (size, at, part) = read("part.exr");

@@ -35,7 +35,7 @@ enum Value {
 }
 
 /// All channels: name and value.
-const CHANNELS: [(&str, Value); 15] = [
+const CHANNELS: [(&str, Value); 16] = [
     ("A", Value::Float(|c, _| c[3])),
     ("B", Value::Float(|c, _| c[2])),
     ("G", Value::Float(|c, _| c[1])),
@@ -46,6 +46,7 @@ const CHANNELS: [(&str, Value); 15] = [
     ("bytes.Y", Value::Float(|_, l| l.bytes)),
     ("depth.Z", Value::Float(|_, l| l.depth)),
     ("instanceId.Y", Value::Whole(|_, l| l.instance)),
+    ("lodError.Y", Value::Float(|_, l| l.lod_error)),
     ("normal.X", Value::Float(|_, l| l.normal[0])),
     ("normal.Y", Value::Float(|_, l| l.normal[1])),
     ("normal.Z", Value::Float(|_, l| l.normal[2])),

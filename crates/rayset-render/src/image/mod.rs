@@ -51,13 +51,16 @@ pub struct LayerPixel {
     /// is the only value of a picture that may depend on it: on how the picture is divided into
     /// tiles.
     pub bytes: f32,
+    /// By how much the opacity differs at most from that by many rays because of what is seen from
+    /// afar: an estimate, which holds in 95 of 100 pixels. 0 where nothing is seen so.
+    pub lod_error: f32,
 }
 
 impl Default for LayerPixel {
     /// An empty pixel.
     fn default() -> Self {
         let (depth, normal, albedo) = (f32::INFINITY, [0.0; 3], [0.0; 3]);
-        Self { opacity: 0.0, depth, normal, albedo, instance: 0, samples: 0, bytes: 0.0 }
+        Self { opacity: 0.0, depth, normal, albedo, instance: 0, samples: 0, bytes: 0.0, lod_error: 0.0 }
     }
 }
 

@@ -125,6 +125,11 @@ impl Sums {
         self.area_depth += area * seen.depth;
     }
 
+    /// The mean opacity of what covers a part of a pixel.
+    pub(crate) fn mean_opacity(&self) -> f64 {
+        if self.area > 0.0 { self.area_opacity / self.area } else { 0.0 }
+    }
+
     /// σ, the extinction at the place.
     pub(crate) fn extinction(&self) -> f64 {
         if !(self.area > 0.0) {

@@ -10,6 +10,7 @@ mod closure;
 mod clusters;
 mod cross_sections;
 mod cut;
+mod error;
 
 pub(crate) use self::closure::{Absorber, MOST_DEPTH, MOST_OPACITY, SPREAD, STACKING, STRETCH, Seen, Sums};
 pub(crate) use self::clusters::ClusterCells;
@@ -17,3 +18,4 @@ pub(crate) use self::cross_sections::CrossSections;
 pub(crate) use self::cut::{
     DENSITY_FADE, LEAST_PART, density_part, half_density, part_of_cell, part_of_last_cell,
 };
+pub(crate) use self::error::{MEAN_OF_BOUND, bound_of_error};

@@ -7,15 +7,15 @@ use std::sync::Arc;
 use super::bounce::ScatterKinds;
 use super::cloud::CloudVolume;
 use super::grid::GridVolume;
-use super::node_samples::{Constants, LEAF, MATERIAL, Measure, RequiredOutputs};
+use super::node_samples::{Constants, LEAF, LUMP_OPACITY, MATERIAL, Measure, RequiredOutputs};
 use super::procedural::ProceduralVolume;
 use super::program::{Action, Instruction, Key, Program, Purpose, used_materials};
 use super::transfer::{CompiledTransfer, Input};
 use super::unopened::Unopened;
 use crate::field::{Kernel, SimdLevel};
 use crate::scene::{
-    CloudObject, GridObject, LightKind, Lighting, Lod, Material, Node, Operator, Procedural, Scene, Shape,
-    Transfer,
+    CloudObject, GridObject, LightKind, Lighting, Lod, MOST_ATTRIBUTES, Material, Node, Operator, Procedural,
+    Scene, Shape, Transfer,
 };
 use rayset_base::geometry::{Aabb, DAffine3};
 
@@ -221,12 +221,13 @@ impl Compiler<'_> {
         let material = if used.len() == 1 { used.first().copied() } else { None };
         let root = self.instructions.len() - 1;
         let color = self.instructions[root].color;
-        self.instructions[root].required = self.wanted_of_root(purpose, color, material.is_none());
+        let lump_opacity = self.name_lump_opacity(purpose);
+        self.instructions[root].required = RequiredOutputs {
+            attributes: lump_opacity.map_or(0, |number| 1 << number),
+            ..self.wanted_of_root(purpose, color, material.is_none())
+        };
         self.instructions[root].measures.1 = Measure::OpticalDepth;
-        let has_splats = self.instructions.iter().any(|instruction| {
-            matches!(&instruction.action, Action::Cloud(volume)
-                if volume.shading.kernel == Kernel::Splat || volume.lod.is_some())
-        });
+        let has_splats = self.has_cloud(|c| c.shading.kernel == Kernel::Splat || c.lod.is_some());
         for at in (0..=root).rev() {
             self.pass_down(at, has_splats);
         }
@@ -241,7 +242,24 @@ impl Compiler<'_> {
             }
         }
         let constants = Constants { color, material };
-        Program { instructions: self.instructions, required, reach, constants, simd: self.simd, has_splats }
+        let (instructions, simd) = (self.instructions, self.simd);
+        Program { instructions, required, reach, constants, simd, has_splats, lump_opacity }
+    }
+
+    fn has_cloud(&self, is_meant: impl Fn(&CloudVolume<Unopened>) -> bool) -> bool {
+        let is_one = |action: &Action<_>| matches!(action, Action::Cloud(volume) if is_meant(volume));
+        self.instructions.iter().any(|instruction| is_one(&instruction.action))
+    }
+
+    /// Adds the name of an attribute that says how wrong what is seen from afar may be, if anything
+    /// is, and if there is room for a name.
+    fn name_lump_opacity(&mut self, purpose: Purpose) -> Option<usize> {
+        let is_of_eye = matches!(purpose, Purpose::Picture | Purpose::Layers);
+        let is_seen = is_of_eye && self.has_cloud(|cloud| cloud.lod.is_some());
+        (is_seen && self.names.len() < MOST_ATTRIBUTES).then(|| {
+            self.names.push(LUMP_OPACITY.into());
+            self.names.len() - 1
+        })
     }
 
     fn wanted_of_root(

@@ -1,6 +1,7 @@
 //! Work counters of a render.
 
 use crate::field::SplatCounts;
+use crate::lod::MEAN_OF_BOUND;
 
 /// How much work a render did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,6 +32,39 @@ pub struct RenderCounts {
     /// How often a tile, or tiles that were traced together, was deferred because a page was
     /// absent. The work done on it until then is not counted.
     pub deferred: u64,
+    /// How wrong opacities are because of what is seen from afar.
+    pub lod_errors: LodErrors,
+}
+
+/// Errors of the opacities of pixels that are seen from afar, as they are estimated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LodErrors {
+    /// Pixels that were traced. With as many rays as each needs, and with ambient occlusion, some
+    /// count twice: those that vary, and those beside bands.
+    pub pixels: u64,
+    /// Those of them of which something is seen from afar.
+    pub from_afar: u64,
+    /// The sum of the bounds, in 2^−24, so that it is the same in any order.
+    bounds: u64,
+}
+
+impl LodErrors {
+    const ONE: f64 = (1_u64 << 24) as f64;
+
+    /// Adds a pixel, given the bound of its error.
+    pub(super) fn add(&mut self, bound: f32) {
+        self.pixels += 1;
+        self.from_afar += u64::from(bound > 0.0);
+        self.bounds += (f64::from(bound) * Self::ONE) as u64;
+    }
+
+    /// By how much opacities are wrong in the mean, over the pixels of which something is seen from
+    /// afar, 0 to 1: a fifth of the mean bound, as measured. `None` if nothing is.
+    #[must_use]
+    pub fn mean(&self) -> Option<f64> {
+        let bounds = self.bounds as f64 / Self::ONE;
+        (self.from_afar > 0).then(|| MEAN_OF_BOUND * bounds / self.from_afar as f64)
+    }
 }
 
 impl std::ops::AddAssign for RenderCounts {
@@ -47,6 +81,9 @@ impl std::ops::AddAssign for RenderCounts {
         self.bounced_rays += other.bounced_rays;
         self.bounced_splats += other.bounced_splats;
         self.deferred += other.deferred;
+        self.lod_errors.pixels += other.lod_errors.pixels;
+        self.lod_errors.from_afar += other.lod_errors.from_afar;
+        self.lod_errors.bounds += other.lod_errors.bounds;
     }
 }
 

@@ -320,12 +320,16 @@ impl Job {
         sums.asked_bytes += access.asked_bytes.get();
         let share = 1.0 / self.passes[pass].end as f32;
         let pixels = sums.pixels.map(|sum| sum.map(|v| v * share));
-        let known = tracer.layers().map(|layers| Box::new(layers.pixels(tile.pixels(), sums.asked_bytes)));
+        let traced = self.traced(index);
+        if pass + 1 == self.passes.len() {
+            tracer.count_errors(traced, tile.pixels());
+        }
+        let layers = tracer.layers().filter(|_| self.prepared.world.layers);
+        let known = layers.map(|layers| Box::new(layers.pixels(tile.pixels(), sums.asked_bytes)));
         if let Some(earlier) = self.earlier.get(index) {
             sums.layers = tracer.layers().cloned();
             *earlier.lock().unwrap_or_else(PoisonError::into_inner) = Some(Box::new(sums));
         }
-        let traced = self.traced(index);
         Output { tile, number: index, traced, pass: pass as u32, pixels, layers: known, seconds: 0.0 }
     }
 

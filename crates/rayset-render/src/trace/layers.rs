@@ -5,6 +5,7 @@ use super::composite::Shares;
 use super::node_samples::{Constants, LEAF, NodeSamples, each_lane};
 use crate::field::{LANES, Packet, Slab};
 use crate::image::LayerPixel;
+use crate::lod::bound_of_error;
 
 /// Sums over the samples of a pixel, each weighted by its contribution to the pixel.
 #[derive(Clone, Copy, Debug, Default)]
@@ -16,6 +17,8 @@ struct Gathered {
     /// The largest weight of a sample, and the number of the leaf that it belongs to.
     largest: (f32, f32),
     samples: u32,
+    /// Sum of the weights times the opacity of lumps.
+    lump_opacity: f32,
     /// Sum of the opacities of the pixel's rays, and the number of these rays.
     opacity: (f32, u32),
 }
@@ -26,12 +29,14 @@ pub(super) struct Layers {
     pixels: [Gathered; LANES],
     /// Otherwise depth and opacity alone.
     all: bool,
+    /// The number of the attribute of that name.
+    lump_opacity: Option<usize>,
 }
 
 impl Layers {
     /// For all layers, or depth and opacity alone.
-    pub(super) fn new(all: bool) -> Self {
-        Self { pixels: [Gathered::default(); LANES], all }
+    pub(super) fn new(all: bool, lump_opacity: Option<usize>) -> Self {
+        Self { pixels: [Gathered::default(); LANES], all, lump_opacity }
     }
 
     /// Clears the sums of the previous tile.
@@ -58,6 +63,9 @@ impl Layers {
                 let share = shares.share[lane].0[j];
                 pixel.weight += share;
                 pixel.depth += f64::from(share) * packet.sample_t_world(lane, slab.first + j as u64);
+                if let Some(number) = self.lump_opacity {
+                    pixel.lump_opacity += share * node.attributes[number][lane].0[j];
+                }
                 if !self.all {
                     continue;
                 }
@@ -81,12 +89,17 @@ impl Layers {
         *rays += 1;
     }
 
+    /// The bounds of the errors of the first `count` pixels' opacities.
+    pub(super) fn bounds_of_errors(&self, count: usize) -> impl Iterator<Item = f32> {
+        self.pixels[..count].iter().map(Gathered::bound_of_error)
+    }
+
     /// The layers of a tile of `count` pixels, for which pages of `bytes` bytes in all were
     /// requested.
     pub(super) fn pixels(&self, count: usize, bytes: u64) -> [LayerPixel; LANES] {
         self.pixels.map(|g| {
             let bytes = bytes as f32 / count as f32;
-            let opacity = g.opacity.0 / g.opacity.1.max(1) as f32;
+            let (opacity, lod_error) = (g.opacity(), g.bound_of_error());
             if g.weight <= 0.0 {
                 return LayerPixel { bytes, opacity, ..LayerPixel::default() };
             }
@@ -101,7 +114,19 @@ impl Layers {
                 instance: g.largest.1 as u32,
                 samples: g.samples,
                 bytes,
+                lod_error,
             }
         })
+    }
+}
+
+impl Gathered {
+    fn opacity(&self) -> f32 {
+        self.opacity.0 / self.opacity.1.max(1) as f32
+    }
+
+    fn bound_of_error(&self) -> f32 {
+        let lump_opacity = if self.weight > 0.0 { self.lump_opacity / self.weight } else { 0.0 };
+        bound_of_error(self.opacity().into(), lump_opacity.into()) as f32
     }
 }

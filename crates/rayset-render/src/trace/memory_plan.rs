@@ -8,7 +8,7 @@ use rayset_files::grid::format::PAGE_BYTES;
 use rayset_files::octree::Cloud;
 
 /// Bytes of a pixel with layers in an OpenEXR file.
-const EXR_PIXEL_BYTES: u64 = 60;
+const EXR_PIXEL_BYTES: u64 = 64;
 /// Blocks' worth of memory that compressing one takes: itself, two copies, and the outcome. An
 /// unoptimised encoder checks the outcome, too.
 const EXR_COMPRESSING: u64 = if cfg!(debug_assertions) { 5 } else { 4 };

@@ -57,7 +57,7 @@ mod view;
 mod work;
 mod world;
 
-pub use self::counts::RenderCounts;
+pub use self::counts::{LodErrors, RenderCounts};
 pub use self::engine::ExecSettings;
 pub use self::error::{RenderError, SettingError};
 pub use self::predict::Prediction;

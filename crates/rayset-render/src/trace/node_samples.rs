@@ -23,6 +23,10 @@ pub(super) const REFRACTIVE_INDEX: usize = 5;
 /// Index of the leaf number.
 pub(super) const LEAF: usize = 6;
 
+/// The attribute that says how opaque is what covers a part of a pixel at a sample, 0 to 1; 0 of
+/// what is not seen from afar. No file has one of this name.
+pub(super) const LUMP_OPACITY: &str = "\u{0}lump opacity";
+
 /// Which outputs of a node are required besides its opacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct RequiredOutputs {

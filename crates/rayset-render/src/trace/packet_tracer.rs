@@ -13,6 +13,7 @@ use super::ray_tree::{End, MOST_SHEETS, RayTree, Sheet, Successor};
 use super::shade::SlabToShade;
 use super::shadow::Shadows;
 use super::steps::StepRule;
+use super::work::PixelMask;
 use super::world::World;
 use crate::field::{LANES, Packet, Slab};
 use crate::scene::RayMaker;
@@ -55,7 +56,8 @@ impl<'a> PacketTracer<'a> {
             march: March::new(&world.program, steps, slab_samples),
             shadows: world.shadows.as_ref().map(|world| Shadows::new(world, slab_samples)),
             refraction: world.bounces.map(RefractionStates::new),
-            layers: world.layers.then(|| Layers::new(world.all_layers)),
+            layers: (world.layers || world.lump_opacity.is_some())
+                .then(|| Layers::new(world.all_layers, world.lump_opacity)),
             tree: if world.bounces.is_some() { RayTree::with_room() } else { RayTree::default() },
             shares: Shares::new(),
             states: [RayState::START; LANES],
@@ -72,9 +74,16 @@ impl<'a> PacketTracer<'a> {
         self.counts = RenderCounts { deferred: counts.deferred + 1, ..counts };
     }
 
-    /// The layers of the tile that is being traced, if they are requested.
+    /// The layers of the tile that is being traced, if they are gathered.
     pub(super) fn layers(&mut self) -> Option<&mut Layers> {
         self.layers.as_mut()
+    }
+
+    /// Counts the errors of pixels of a finished tile.
+    pub(super) fn count_errors(&mut self, traced: PixelMask, count: usize) {
+        let Some(layers) = self.layers.as_ref().filter(|_| self.world.lump_opacity.is_some()) else { return };
+        let bounds: Vec<f32> = layers.bounds_of_errors(count).collect();
+        traced.pixels().for_each(|pixel| self.counts.lod_errors.add(bounds[pixel]));
     }
 
     /// Traces sheets of primary rays and the rays that follow from them. `make` fills the sheet of
@@ -242,7 +251,7 @@ impl<'a> PacketTracer<'a> {
 struct LightOfPacket<'t, 'a> {
     world: &'t World,
     access: Access<'t>,
-    /// If layers are requested, and these rays are primary.
+    /// If layers are gathered, and these rays are primary.
     layers: Option<&'t mut Layers>,
     /// The pixel of the tile that each ray is of.
     pixels: &'t [usize],

@@ -103,6 +103,8 @@ pub(super) struct Program<P = Arc<Object>> {
     pub(super) simd: SimdLevel,
     /// Whether some objects are splats, or are seen from afar: these absorb more than others may.
     pub(super) has_splats: bool,
+    /// The number of the attribute [`LUMP_OPACITY`], if the root has it.
+    pub(super) lump_opacity: Option<usize>,
 }
 
 /// A node with its transform to the world and the index of its material.
@@ -114,10 +116,10 @@ impl Program<Unopened> {
     /// # Errors
     /// [`RenderError::Setting`] if a cloud or grid of the scene is not open in `paged`.
     pub(super) fn open(self, paged: &PagedFiles) -> Result<Program, RenderError> {
-        let Self { instructions, required, reach, constants, simd, has_splats } = self;
+        let Self { instructions, required, reach, constants, simd, has_splats, lump_opacity } = self;
         let instructions = instructions.into_iter().map(|instruction| instruction.open(paged));
         let instructions = instructions.collect::<Result<_, _>>()?;
-        Ok(Program { instructions, required, reach, constants, simd, has_splats })
+        Ok(Program { instructions, required, reach, constants, simd, has_splats, lump_opacity })
     }
 }
 

@@ -29,6 +29,9 @@ pub(super) struct World {
     /// Whether layers are recorded besides the colour of pixels, and whether all of them are.
     pub(super) layers: bool,
     pub(super) all_layers: bool,
+    /// The number of the attribute of that name, if it is gathered: with layers, and where rays are
+    /// not turned.
+    pub(super) lump_opacity: Option<usize>,
     /// As it is composited.
     pub(super) background: Option<[f32; 3]>,
     compositing: Compositing,
@@ -57,7 +60,8 @@ impl World {
             boundary_steps: steps.boundary_steps(),
         };
         let turn_rays = bounces.turns.any() && bounces.max_depth > 0 && scene.lighting != Lighting::Unlit;
-        let compositing = scene.compositing;
+        let (compositing, layers) = (scene.compositing, settings.records_layers());
+        let lump_opacity = program.lump_opacity.filter(|_| layers || !turn_rays);
         Ok(Self {
             shadows: ShadowWorld::compile(scene, settings, simd, paged, &steps, absorption)?,
             bounces: turn_rays.then_some(bounces),
@@ -66,7 +70,8 @@ impl World {
             program,
             shader,
             absorption,
-            layers: settings.records_layers(),
+            layers,
+            lump_opacity,
             all_layers: settings.layers,
             background: scene.background.map(|mut color| {
                 if compositing == Compositing::Display {

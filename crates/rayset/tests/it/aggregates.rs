@@ -21,7 +21,7 @@ use rayset::scene::{
     Camera, CloudObject, ColorRule, Lighting, Lod, OpacityRule, Projection, Scene, TransferFunction,
 };
 use rayset::trace::ExecSettings;
-use rayset::trace::reference::far::{Far, opacities};
+use rayset::trace::reference::far::{Far, pixels};
 
 use crate::common::{Random, build_at, folder, mixed_points, paged, picture, settings};
 
@@ -489,7 +489,7 @@ fn opacities_from_aggregates_are_those_of_the_points_where_pixels_are_wide() {
     }
     let far = Far::new(&object, scene.unit_distance, (&camera, size, size), Lod::AUTO).expect("a file");
     let far = far.expect("aggregates");
-    let seen = opacities(&far, (&camera, size, size));
+    let seen: Vec<f64> = pixels(&far, (&camera, size, size)).iter().map(|seen| seen.opacity).collect();
     // In the middle: the silhouette is a third of a pixel too large.
     let is_inside = |at: &usize| (4..8).contains(&(at % 12)) && (4..8).contains(&(at / 12));
     let inside: Vec<usize> = (0..truth.len()).filter(is_inside).collect();

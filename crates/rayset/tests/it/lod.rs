@@ -13,11 +13,12 @@ use rayset::octree::aggregates::{AGGREGATE_BYTES, AggregateOptions, add_to_file}
 use rayset::octree::build::{BuildOptions, Rule};
 use rayset::points::{ArraySource, Workload};
 use rayset::scene::{
-    Camera, CloudObject, ColorMap, ColorRule, Lighting, Lod, MapInput, OpacityRule, Projection, Samples,
-    Scene, Step, TransferFunction,
+    Camera, CloudObject, ColorMap, ColorRule, Lighting, Lod, MapInput, OpacityRule, Projection,
+    RenderSettings, Samples, Scene, Step, TransferFunction,
 };
-use rayset::trace::reference::far::{Far, opacities};
+use rayset::trace::reference::far::{Far, pixels};
 use rayset::trace::{ExecSettings, render_once};
+use rayset::{Picture, Region, Session};
 
 use crate::common::{Random, bits, build_at, folder, mixed_points, paged, picture, scene_of, settings};
 
@@ -50,10 +51,10 @@ fn compare(object: &CloudObject, camera: &Camera, size: u32, lod: Lod) -> (f64, 
     let settings = settings.with_stop_transmittance(0.0);
     let picture = picture(&scene, camera, &settings, &ExecSettings::default(), &paged(&scene, 1 << 30));
     let far = Far::new(object, scene.unit_distance, (camera, size, size), lod).expect("a file");
-    let judged = opacities(&far.expect("aggregates"), (camera, size, size));
+    let judged = pixels(&far.expect("aggregates"), (camera, size, size));
     let (mut sum, mut most) = (0.0, 0.0_f64);
     for (pixel, judged) in picture.expect("a picture").iter().zip(&judged) {
-        let off = f64::from(pixel[3]) - judged;
+        let off = f64::from(pixel[3]) - judged.opacity;
         sum += off.abs();
         most = most.max(off.abs());
     }
@@ -85,6 +86,46 @@ fn pictures_from_afar_are_those_of_the_judge() {
         let (mean, most) = compare(&object, &camera, 24, lod);
         assert!(mean < 2e-3 && most < 0.02, "mixed {lod:?}: {mean}, {most}");
     }
+}
+
+/// With layers and without, by one thread and by two.
+#[test]
+fn errors_that_are_told_are_those_of_the_judge_and_none_of_pictures_of_all_points() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    build_at(&path, Box::new(mixed_points(20_000, 6.0, 8)), &BuildOptions::default());
+    add(&path);
+    let (object, camera) = seen_from(&path, 3.0);
+    let scene = Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object.clone()) };
+    let rendered = |lod: Lod, layers: bool, threads: usize| {
+        let session = Session::builder().memory(256 << 20).threads(threads).build().expect("a session");
+        let settings = settings(24, 24).with_lod(lod).with_step(Step::Automatic { fraction: 0.1 });
+        let settings = RenderSettings { layers, stop_transmittance: 0.0, ..settings };
+        let view = session.prepare(&scene, &settings).and_then(|scene| scene.view(&camera)).expect("a view");
+        let mut seen = Picture::default();
+        let counts =
+            view.render_bands(&Region { columns: 0..24, rows: 0..24 }, 24, &CancelToken::new(), &mut seen);
+        (seen, counts.expect("a picture").lod_errors)
+    };
+    let far = Far::new(&object, scene.unit_distance, (&camera, 24, 24), Lod::AUTO).expect("a file");
+    let judged = pixels(&far.expect("aggregates"), (&camera, 24, 24));
+    let (seen, told) = rendered(Lod::AUTO, true, 1);
+    let differences = seen.layers.iter().zip(&judged);
+    let differences = differences.map(|(seen, judged)| f64::from(seen.lod_error) - judged.bound_of_error);
+    let (mean, most) =
+        differences.fold((0.0, 0.0_f64), |(sum, most), by| (sum + by.abs(), most.max(by.abs())));
+    assert!(mean / 576.0 < 1e-3 && most < 0.02, "{} {most}", mean / 576.0);
+    let (mut from_afar, mut sum) = (0, 0.0);
+    for layers in &seen.layers {
+        from_afar += u64::from(layers.lod_error > 0.0);
+        sum += f64::from(layers.lod_error);
+    }
+    assert!(from_afar > 300 && (told.pixels, told.from_afar) == (576, from_afar), "{told:?}");
+    assert!((told.mean().expect("some are from afar") - 0.2 * sum / from_afar as f64).abs() < 1e-6);
+    let (without, told_without) = rendered(Lod::AUTO, false, 2);
+    assert!(without.layers.is_empty() && without.pixels == seen.pixels && told_without == told);
+    let (all, told) = rendered(Lod::Off, true, 1);
+    assert!(all.layers.iter().all(|layers| layers.lod_error == 0.0) && told.mean().is_none());
 }
 
 /// Cells of two to four pixels are seen in part, and their points, of one to two pixels in radius,

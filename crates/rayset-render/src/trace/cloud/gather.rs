@@ -139,7 +139,7 @@ impl Gathering<'_> {
                         let root = (cloud.root_cell.min, cloud.root_cell.size);
                         out.spread_points(&seen.lod.decoder, far, root, (sight, simd));
                     }
-                    _ => out.fade_points(&far.parts, &seen.lod.decoder.sharp(sight), (step, simd)),
+                    _ => out.fade_points(&far.parts, &sharp, (step, simd)),
                 }
                 Ok(())
             })

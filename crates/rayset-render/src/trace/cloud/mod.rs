@@ -1,6 +1,7 @@
 //! Clouds as volume objects: where each is (`placement`), the octree ahead of a packet (`frontier`,
 //! for the rays in `live_rays`), the march of a packet through it (`march`), what its field looks
-//! like (`shading`), and how little of a ray that may leave (`least_absorption`).
+//! like (`shading`, `spread` from afar, in the `measures` of opacity), and how little of a ray that
+//! may leave (`least_absorption`).
 
 mod ahead;
 mod cut;
@@ -11,6 +12,7 @@ mod least_absorption;
 mod live_rays;
 mod lod;
 mod march;
+mod measures;
 mod nodes;
 mod opening;
 mod parts;

@@ -4,16 +4,16 @@
 use std::sync::Arc;
 
 use super::least_absorption::least_absorption;
+use super::measures::{opacity_of_optical_depth, optical_depth_of_extinction, optical_depth_of_opacity};
 use crate::field::{
     AttributeColumns, Channels, FieldSamples, Kernel, LANES, LeastAbsorption, RunDecoder, SLAB_SAMPLES,
     SampleRow, SimdLevel, SplatFilter, dispatch,
 };
-use crate::math::{absorbed, ln};
 use crate::scene::{CloudObject, ColorRule, Compositing, MAX_OPACITY, MapInput, OpacityRule, Scene};
 use crate::trace::display_values::all_to_linear;
 use crate::trace::knots::Curve;
 use crate::trace::node_samples::{
-    MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, Rows, ZERO, above, each_lane,
+    LUMP_OPACITY, MATERIAL, MAX_OPTICAL_DEPTH, Measure, NodeSamples, RequiredOutputs, ZERO, above, each_lane,
     first_samples, normalize, numbers, samples_within,
 };
 use crate::trace::transfer::ColorTable;
@@ -44,6 +44,8 @@ pub(super) enum Carried {
     Mean(usize),
     /// As class labels, the one of this number.
     Label(usize),
+    /// Nowhere: it is of what is seen from afar.
+    LumpOpacity,
 }
 
 /// How a cloud is shaded.
@@ -154,9 +156,10 @@ impl CloudShading {
         }
         self.named = vec![None; names.len()];
         for number in numbers(required.attributes) {
-            if let Some(attribute) = header.attribute_number(&names[number]) {
-                self.named[number] = Some(Carried::new(header, attribute, &mut columns));
-            }
+            let attribute = header.attribute_number(&names[number]);
+            let carried = attribute.map(|attribute| Carried::new(header, attribute, &mut columns));
+            self.named[number] =
+                if &*names[number] == LUMP_OPACITY { Some(Carried::LumpOpacity) } else { carried };
         }
         self.decoder =
             RunDecoder::new(header, self.kernel, self.normalised, columns.clone()).filtered(self.filter);
@@ -312,15 +315,14 @@ impl CloudShading {
     }
 
     fn fill_attribute(&self, field: &FieldSamples, lane: usize, number: usize, out: &mut NodeSamples) {
-        out.attributes[number][lane] = match self.carried(number) {
-            Some(carried) => self.value(field, lane, carried),
-            None => SampleRow([0.0; SLAB_SAMPLES]),
-        };
+        let carried = self.carried(number);
+        out.attributes[number][lane] = carried.map_or(ZERO, |carried| self.value(field, lane, carried));
     }
 
     /// The value of an attribute: its mean, or the label of the point that contributes most.
     fn value(&self, field: &FieldSamples, lane: usize, carried: Carried) -> SampleRow {
         match carried {
+            Carried::LumpOpacity => ZERO,
             Carried::Mean(channel) => self.mean(field, lane, channel),
             Carried::Label(number) => {
                 let (density, label) = (&field.density[lane].0, &field.label[number][0][lane].0);
@@ -404,46 +406,4 @@ fn to_world(
     }
     normalize(x, y, z);
     distance
-}
-
-// Loops instead of `map`: the compiler does not inline closures into functions compiled for other
-// instruction sets.
-
-#[inline(always)]
-fn optical_depth_of_extinction(
-    mut lanes: u64,
-    density: &Rows,
-    (per_density, most): (f32, f32),
-    rows: &mut Rows,
-) {
-    while lanes != 0 {
-        let lane = lanes.trailing_zeros() as usize;
-        lanes &= lanes - 1;
-        for (t, &d) in rows[lane].0.iter_mut().zip(&density[lane].0) {
-            // A density that is negative or NaN absorbs nothing.
-            *t = if d > 0.0 { (per_density * d).min(most) } else { 0.0 };
-        }
-    }
-}
-
-#[inline(always)]
-pub(super) fn opacity_of_optical_depth(mut lanes: u64, rows: &mut Rows) {
-    while lanes != 0 {
-        let lane = lanes.trailing_zeros() as usize;
-        lanes &= lanes - 1;
-        for t in &mut rows[lane].0 {
-            *t = absorbed(*t).min(MAX_OPACITY as f32);
-        }
-    }
-}
-
-#[inline(always)]
-fn optical_depth_of_opacity(mut lanes: u64, rows: &mut Rows) {
-    while lanes != 0 {
-        let lane = lanes.trailing_zeros() as usize;
-        lanes &= lanes - 1;
-        for o in &mut rows[lane].0 {
-            *o = if *o > 0.0 { -ln(1.0 - o.min(MAX_OPACITY as f32)) } else { 0.0 };
-        }
-    }
 }

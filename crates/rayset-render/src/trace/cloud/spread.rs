@@ -2,7 +2,8 @@
 //! stands beside it of points that are densities.
 
 use super::lod::CloudLod;
-use super::shading::{Carried, CloudShading, Color, opacity_of_optical_depth};
+use super::measures::opacity_of_optical_depth;
+use super::shading::{Carried, CloudShading, Color};
 use crate::field::{FarChannel, FieldSamples, LANES, SLAB_SAMPLES, SampleRow, SimdLevel, dispatch};
 use crate::lod::{MOST_OPACITY, STACKING};
 use crate::math::{absorbed, ln};
@@ -107,6 +108,7 @@ impl CloudShading {
             SampleRow(std::array::from_fn(of))
         };
         let value = |carried: Carried| match carried {
+            Carried::LumpOpacity => mean_opacity(area, sums[1]),
             Carried::Mean(channel) => mean(channel),
             Carried::Label(number) => spread.label[number][0][lane],
         };
@@ -114,8 +116,7 @@ impl CloudShading {
             self.color_spread(lod, (mean, value), (lane, simd), out);
         }
         for number in numbers(required.attributes) {
-            let carried = self.carried(number);
-            out.attributes[number][lane] = carried.map_or(ZERO, value);
+            out.attributes[number][lane] = self.carried(number).map_or(ZERO, value);
         }
         if required.normal || required.boundary {
             // The boundary is where half of a pixel is covered.
@@ -219,6 +220,12 @@ fn closed([area, cover, length, depth]: [&[f32; SLAB_SAMPLES]; 4], unit: f32, ou
         let sigma = if overlap < 1.0 { beside } else { behind };
         out[j] = if cover[j] > 0.0 { sigma * unit } else { 0.0 };
     }
+}
+
+/// The mean opacity of what covers a part of a pixel.
+fn mean_opacity(area: &[f32; SLAB_SAMPLES], cover: &[f32; SLAB_SAMPLES]) -> SampleRow {
+    let of = |j: usize| if cover[j] > 0.0 { (area[j] / cover[j]).min(1.0) } else { 0.0 };
+    SampleRow(std::array::from_fn(of))
 }
 
 /// −ln(1 − x), for x from 0 to less than 1.

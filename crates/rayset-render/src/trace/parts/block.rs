@@ -42,7 +42,7 @@ macro_rules! whole {
 }
 
 /// All channels; those that contents have come first.
-const CHANNELS: [Channel; 15] = [
+const CHANNELS: [Channel; 16] = [
     float!(color 0),
     float!(color 1),
     float!(color 2),
@@ -58,6 +58,7 @@ const CHANNELS: [Channel; 15] = [
     whole!(instance),
     whole!(samples),
     float!(bytes),
+    float!(lod_error),
 ];
 
 impl Contents {
@@ -150,6 +151,7 @@ mod tests {
             instance: i as u32,
             samples: u32::MAX - i as u32,
             bytes: value(3 * i),
+            lod_error: value(11 * i),
         });
         (colors, layers.collect())
     }

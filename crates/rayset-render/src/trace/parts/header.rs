@@ -26,7 +26,7 @@ pub const PART_MAGIC: [u8; 8] = *b"RAYPART\n";
 /// The last eight.
 const END: [u8; 8] = *b"PARTEND\n";
 /// Version of the format that is written and read.
-pub(super) const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 2;
 pub(super) const HEAD_BYTES: usize = 36;
 pub(super) const FOOT_BYTES: usize = 28;
 /// Bytes of a block in the index.

@@ -26,7 +26,7 @@ pub struct PartOptions {
     /// The share of the picture.
     pub share: Share,
     /// Most pixels that are held in memory at a time, but always those of a square of 32×32; 16
-    /// bytes each, and 60 with layers or ambient occlusion. 2²⁰ by default.
+    /// bytes each, and 64 with layers or ambient occlusion. 2²⁰ by default.
     pub held_pixels: u64,
     /// Whatever whoever joins the parts needs besides pixels, up to 64 MiB; the same in all parts.
     /// Empty by default.
