@@ -118,6 +118,16 @@ def test_much_gas_gets_aggregates_by_default(tmp_path: Path) -> None:
     assert sizes[0] > sizes[1]
 
 
+def test_who_gives_too_little_memory_for_aggregates_has_the_cloud_without_them(tmp_path: Path) -> None:
+    p = points(COUNT)
+    rs.build(p, path=tmp_path / "without.rset", lod=False)
+    without = (tmp_path / "without.rset").read_bytes()
+    with pytest.raises(rs.MemoryBudgetError, match="is built, but has no aggregates.* bytes of memory are too few"):
+        rs.build(p, path=tmp_path / "a.rset", memory="16MiB", lod=True)
+    assert (tmp_path / "a.rset").read_bytes() == without
+    assert sorted(each.name for each in tmp_path.glob("*")) == ["a.rset", "without.rset"]
+
+
 def test_points_without_aggregates_are_built_and_said(tmp_path: Path) -> None:
     with pytest.warns(rs.RaysetWarning, match="has no aggregates"):
         rs.build(points(50), radius=0.5, weight=-1, path=tmp_path / "a.rset", lod=True)
