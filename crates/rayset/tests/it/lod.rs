@@ -88,6 +88,33 @@ fn pictures_from_afar_are_those_of_the_judge() {
     }
 }
 
+/// What a thin cloud, whose opacities are linear in the density, takes of the light altogether is
+/// the same from near and from afar, down to where it is ten pixels wide.
+#[test]
+fn optical_depths_of_all_pixels_sum_to_the_same_over_a_zoom() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    sphere(&path, "sphere-100000");
+    let (mut object, camera) = seen_from(&path, 3.0);
+    object.transfer.opacity = OpacityRule::Extinction(0.02);
+    let scene = Scene { lighting: Lighting::Unlit, ..Scene::of_cloud(object) };
+    let depth = |lod: Lod, size: u32, height: f64| {
+        let camera = Camera { projection: Projection::Orthographic { height }, ..camera };
+        let settings = settings(size, size).with_lod(lod);
+        let paged = paged(&scene, 1 << 30);
+        let seen = picture(&scene, &camera, &settings, &ExecSettings::default(), &paged).expect("a picture");
+        let sum: f64 = seen.iter().map(|pixel| -f64::from(-pixel[3]).ln_1p()).sum();
+        sum * (height / f64::from(size)).powi(2)
+    };
+    let all = depth(Lod::Off, 96, 2.4);
+    for lod in [Lod::AUTO, Lod::COARSE] {
+        for (size, height) in [(96, 2.4), (48, 2.4), (24, 2.4), (12, 2.4)] {
+            let of_all = depth(lod, size, height) / all;
+            assert!((of_all - 1.0).abs() < 0.01, "{lod:?}, {size} pixels over {height}: {of_all}");
+        }
+    }
+}
+
 /// With layers and without, by one thread and by two.
 #[test]
 fn errors_that_are_told_are_those_of_the_judge_and_none_of_pictures_of_all_points() {
