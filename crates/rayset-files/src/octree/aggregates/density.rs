@@ -106,10 +106,7 @@ impl Field<'_> {
         }
         let bounds = places.iter().fold(Aabb::EMPTY, |bounds, &place| bounds.union(Aabb::new(place, place)));
         if self.find_points_near(&bounds, near)? {
-            match self.kernel {
-                Kernel::Wyvill => near.sum(places, wyvill, out),
-                kernel => near.sum(places, |s| kernel.value(s), out),
-            }
+            near.sum(self.kernel, places, out);
             return Ok(());
         }
         if places.len() > FEWEST_PLACES {
@@ -136,11 +133,7 @@ impl Field<'_> {
             near.take(points);
             near.len() <= MOST_TOGETHER
         })?;
-        let are_few = near.len() <= MOST_TOGETHER;
-        if are_few {
-            near.divide_among_cells();
-        }
-        Ok(are_few)
+        Ok(near.len() <= MOST_TOGETHER)
     }
 
     /// The density at a place that any number of points reach.
@@ -221,9 +214,4 @@ impl<'a> Visitor<CloudPages<'a>> for Search<'_> {
         })?;
         Ok(if goes_on { Visit::Open } else { Visit::Stop })
     }
-}
-
-/// [`Kernel::Wyvill`], where s < 1.
-fn wyvill(s: f64) -> f64 {
-    1.0 + s * (-22.0 / 9.0 + s * (17.0 / 9.0 - s * (4.0 / 9.0)))
 }

@@ -1,16 +1,27 @@
-//! The points that may reach a box, and which of them may reach which cell of a grid over it.
+//! The points that may reach a box, and the sums of their kernels at places in it.
+//!
+//! Points are added one after another to the places that they may reach: places are kept by the
+//! cells of a grid, in rows, so that those of a row follow each other, and many are looked at with
+//! one instruction. The order of a sum is that of the points, and nothing is fused, so its bits are
+//! the same with every set of instructions.
 //!
 //! A thread uses one again and again: what it takes is large, and clearing it is not free.
 
-use super::points::Points;
-use rayset_base::geometry::{Aabb, DMat3, DVec3};
+use std::ops::Range;
 
-/// Most entries of points in cells.
-const MOST_ENTRIES: u32 = 1 << 18;
+use super::points::Points;
+use fearless_simd::{Level, Select, Simd, SimdBase, SimdFloat, SimdFrom, dispatch, f64x8};
+use rayset_base::geometry::{Aabb, DMat3, DVec3};
+use rayset_base::kernel::Kernel;
+
 /// Most cells of a grid along an axis.
-const MOST_CELLS: f64 = 24.0;
-/// Entries that are looked at together.
+const MOST_CELLS: f64 = 32.0;
+/// Cells in a radius.
+const CELLS_OF_RADIUS: f64 = 1.0;
+/// Places that are looked at together.
 const TOGETHER: usize = 8;
+/// By how much what a point reaches is taken to be larger: more than what is rounded.
+const MARGIN: f64 = 1e-9;
 
 /// The points that may reach a box. Positions are relative to its corner.
 #[derive(Default)]
@@ -18,14 +29,10 @@ pub(super) struct NearPoints {
     corner: DVec3,
     far_corner: DVec3,
     points: Vec<NearPoint>,
-    /// Radii, and half the edges of the smallest boxes around points.
-    extents: Vec<(f64, DVec3)>,
     /// The maps to the unit ball; of balls none.
     maps: Vec<DMat3>,
     grid: Grid,
-    /// Where the next entries of cells go, while they are found.
-    next: Vec<u32>,
-    entries: Entries,
+    places: Places,
 }
 
 /// A point, for its kernel.
@@ -33,31 +40,32 @@ pub(super) struct NearPoints {
 struct NearPoint {
     position: DVec3,
     weight: f64,
+    radius: f64,
     /// The square of the inverse of its radius.
     inverse_squared: f64,
+    /// Half the edges of the smallest box around it.
+    half: DVec3,
 }
 
 /// Cells that a box is divided into.
 #[derive(Default)]
 struct Grid {
-    /// Cells along each axis, and cells in a unit of length.
+    /// Cells along each axis, their edges, and cells in a unit of length.
     cells: [usize; 3],
+    edges: DVec3,
     per_unit: DVec3,
-    /// For each cell, where its entries begin; and where those of the last end. Each cell has a
-    /// multiple of [`TOGETHER`].
+    /// For each cell, where its places begin; and where those of the last end.
     first: Vec<u32>,
 }
 
-/// For cells of the grid, the points that may reach them, in their order.
+/// Places, by the cells that they are in.
 #[derive(Default)]
-struct Entries {
-    /// Numbers of points; any for what fills up a cell.
-    of: Vec<u32>,
-    /// Relative to the corner of the box.
-    position: [Vec<f32>; 3],
-    /// The square of a radius, larger by more than what is rounded; negative for what fills up a
-    /// cell.
-    reach_squared: Vec<f32>,
+struct Places {
+    /// Relative to the corner of the box. More than there are: [`TOGETHER`] are read at a time.
+    coordinates: [Vec<f64>; 3],
+    densities: Vec<f64>,
+    /// Where each place has come to, in the order in which they were given.
+    order: Vec<u32>,
 }
 
 impl NearPoints {
@@ -65,7 +73,6 @@ impl NearPoints {
     pub(super) fn begin(&mut self, bounds: &Aabb) {
         (self.corner, self.far_corner) = (bounds.min, bounds.max);
         self.points.clear();
-        self.extents.clear();
         self.maps.clear();
     }
 
@@ -92,91 +99,84 @@ impl NearPoints {
         self.points.push(NearPoint {
             position: points.position[index] - self.corner,
             weight: points.weight[index],
+            radius,
             inverse_squared: inverse * inverse,
+            half,
         });
-        self.extents.push((radius, half));
-    }
-
-    /// Finds which points may reach which cell.
-    pub(super) fn divide_among_cells(&mut self) {
-        let size = self.far_corner - self.corner;
-        let count = self.points.len().max(1) as f64;
-        let mean = self.extents.iter().map(|(radius, _)| radius).sum::<f64>() / count;
-        let mut edge = mean.max(size.max_element() / MOST_CELLS);
-        self.count_entries(size, edge);
-        while self.grid.entries() > MOST_ENTRIES && self.grid.cells != [1; 3] {
-            edge *= 2.0;
-            self.count_entries(size, edge);
-        }
-        let Self { points, extents, grid, next, entries, .. } = self;
-        entries.make_room(grid.entries() as usize);
-        // Coordinates are rounded to parts of the box, and to parts of their own.
-        let rounding = 4.0 * f64::from(f32::EPSILON) * (size.max_element() + 4.0 * mean);
-        next.clone_from(&grid.first);
-        for (at, (point, (radius, half))) in points.iter().zip(extents.iter()).enumerate() {
-            let reach = radius * (1.0 + 1e-5) + rounding;
-            let reach_squared = (reach * reach) as f32;
-            let place = point.position.to_array().map(|v| v as f32);
-            grid.each_cell_of(point.position, *half, |cell| {
-                let to = next[cell] as usize;
-                next[cell] += 1;
-                entries.of[to] = at as u32;
-                (0..3).for_each(|axis| entries.position[axis][to] = place[axis]);
-                entries.reach_squared[to] = reach_squared;
-            });
-        }
-        // What fills up cells is never near.
-        for (cell, &end) in next.iter().enumerate().take(grid.first.len() - 1) {
-            entries.reach_squared[end as usize..grid.first[cell + 1] as usize].fill(-1.0);
-        }
-    }
-
-    /// Divides the box into cells of about an edge, and counts the points that may reach each.
-    fn count_entries(&mut self, size: DVec3, edge: f64) {
-        let Self { points, extents, grid, .. } = self;
-        grid.divide(size, edge);
-        let mut first = std::mem::take(&mut grid.first);
-        first.clear();
-        first.resize(grid.cells.iter().product::<usize>() + 1, 0_u32);
-        for (point, (_, half)) in points.iter().zip(extents.iter()) {
-            grid.each_cell_of(point.position, *half, |cell| first[cell + 1] += 1);
-        }
-        for cell in 1..first.len() {
-            first[cell] = first[cell - 1] + first[cell].next_multiple_of(TOGETHER as u32);
-        }
-        grid.first = first;
     }
 
     /// The sums over all points at places in the box, in the order of the points.
-    pub(super) fn sum(&self, places: &[DVec3], kernel: impl Fn(f64) -> f64, out: &mut [f64]) {
-        for (place, density) in places.iter().zip(out) {
-            let place = *place - self.corner;
-            let rounded = place.to_array().map(|v| v as f32);
-            *density = 0.0;
-            for first in self.grid.entries_at(place).step_by(TOGETHER) {
-                let mut near = self.entries.near(first, rounded);
-                while near != 0 {
-                    let at = first + near.trailing_zeros() as usize;
-                    near &= near - 1;
-                    let number = self.entries.of[at] as usize;
-                    let square = self.square(number, place);
-                    if square < 1.0 {
-                        *density += self.points[number].weight * kernel(square);
-                    }
-                }
-            }
+    pub(super) fn sum(&mut self, kernel: Kernel, places: &[DVec3], out: &mut [f64]) {
+        self.sum_with(Level::new(), kernel, places, out);
+    }
+
+    fn sum_with(&mut self, level: Level, kernel: Kernel, places: &[DVec3], out: &mut [f64]) {
+        let size = self.far_corner - self.corner;
+        let inverse: f64 = self.points.iter().map(|point| point.radius.recip()).sum();
+        let typical_radius = self.points.len() as f64 / inverse;
+        self.grid.divide(size, (typical_radius / CELLS_OF_RADIUS).max(size.max_element() / MOST_CELLS));
+        self.places.sort(places.iter().map(|&place| place - self.corner), &mut self.grid);
+        match kernel {
+            Kernel::Wyvill => dispatch!(level, simd => self.add_points(simd, Wyvill)),
+            Kernel::CubicSpline => dispatch!(level, simd => self.add_points(simd, CubicSpline)),
+            kernel => dispatch!(level, simd => self.add_points(simd, kernel)),
+        }
+        for (density, &at) in out.iter_mut().zip(&self.places.order) {
+            *density = self.places.densities[at as usize];
         }
     }
 
-    /// x² of a place in a point, relative to the corner.
     #[inline(always)]
-    fn square(&self, number: usize, place: DVec3) -> f64 {
-        let point = &self.points[number];
-        let offset = place - point.position;
-        match self.maps.get(number) {
-            Some(map) => (*map * offset).length_squared(),
-            None => offset.length_squared() * point.inverse_squared,
+    fn add_points<S: Simd>(&mut self, simd: S, kernel: impl Kernels) {
+        let Self { points, maps, grid, places, .. } = self;
+        for (number, point) in points.iter().enumerate() {
+            let map = maps.get(number);
+            grid.each_row_of(
+                point,
+                #[inline(always)]
+                |row| places.add(simd, row, (point, map), kernel),
+            );
         }
+    }
+}
+
+/// A kernel, by x².
+trait Kernels: Copy {
+    fn values<S: Simd>(self, simd: S, squares: f64x8<S>) -> f64x8<S>;
+}
+
+/// [`Kernel::Wyvill`], where x² < 1.
+#[derive(Clone, Copy)]
+struct Wyvill;
+
+impl Kernels for Wyvill {
+    #[inline(always)]
+    fn values<S: Simd>(self, simd: S, s: f64x8<S>) -> f64x8<S> {
+        let of = |v: f64| f64x8::splat(simd, v);
+        of(1.0) + s * (of(-22.0 / 9.0) + s * (of(17.0 / 9.0) - s * (of(4.0 / 9.0))))
+    }
+}
+
+/// [`Kernel::CubicSpline`], where x² < 1.
+#[derive(Clone, Copy)]
+struct CubicSpline;
+
+impl Kernels for CubicSpline {
+    #[inline(always)]
+    fn values<S: Simd>(self, simd: S, squares: f64x8<S>) -> f64x8<S> {
+        let of = |v: f64| f64x8::splat(simd, v);
+        let q = of(2.0) * squares.sqrt();
+        let left = of(2.0) - q;
+        let inner = of(1.0) - of(1.5) * q * q + of(0.75) * q * q * q;
+        q.simd_lt(of(1.0)).select(inner, of(0.25) * (left * left * left))
+    }
+}
+
+impl Kernels for Kernel {
+    #[inline(always)]
+    fn values<S: Simd>(self, simd: S, squares: f64x8<S>) -> f64x8<S> {
+        let values = <[f64; TOGETHER]>::from(squares).map(|s| if s < 1.0 { self.value(s) } else { 0.0 });
+        f64x8::simd_from(simd, values)
     }
 }
 
@@ -186,74 +186,180 @@ impl Grid {
         self.cells = size
             .to_array()
             .map(|length| ((length / edge) as usize).saturating_add(1).min(MOST_CELLS as usize));
-        self.per_unit = DVec3::from_array(std::array::from_fn(|axis| match size[axis] > 0.0 {
-            true => self.cells[axis] as f64 / size[axis],
-            false => 0.0,
-        }));
+        let cells = DVec3::from_array(self.cells.map(|cells| cells as f64));
+        self.edges = size / cells;
+        let per_unit = |axis: usize| if size[axis] > 0.0 { cells[axis] / size[axis] } else { 0.0 };
+        self.per_unit = DVec3::new(per_unit(0), per_unit(1), per_unit(2));
     }
 
-    /// Number of entries of all cells.
-    fn entries(&self) -> u32 {
-        self.first.last().copied().unwrap_or(0)
+    fn count(&self) -> usize {
+        self.cells.iter().product()
     }
 
-    /// The entries of the cell of a place relative to the corner of the box.
-    #[inline(always)]
-    fn entries_at(&self, place: DVec3) -> std::ops::Range<usize> {
+    /// The number of the cell of a place.
+    fn number_of(&self, place: DVec3) -> usize {
         let [x, y, z] = self.cell_of(place);
-        let cell = (z * self.cells[1] + y) * self.cells[0] + x;
-        self.first[cell] as usize..self.first[cell + 1] as usize
+        (z * self.cells[1] + y) * self.cells[0] + x
     }
 
-    /// Calls `visit` for each cell that a point may reach.
+    /// Calls `visit` with the places of each row of cells that a point may reach.
     #[inline(always)]
-    fn each_cell_of(&self, position: DVec3, half: DVec3, mut visit: impl FnMut(usize)) {
+    fn each_row_of(&self, point: &NearPoint, mut visit: impl FnMut(Range<usize>)) {
+        let NearPoint { position, radius, .. } = *point;
+        let half = point.half * (1.0 + MARGIN);
+        let reach_squared = radius * radius * (1.0 + 4.0 * MARGIN);
         let [low, high] = [position - half, position + half].map(|place| self.cell_of(place));
         for z in low[2]..=high[2] {
+            let of_z = self.distance(2, z, position.z);
             for y in low[1]..=high[1] {
                 let row = (z * self.cells[1] + y) * self.cells[0];
-                (row + low[0]..=row + high[0]).for_each(&mut visit);
+                if self.first[row + low[0]] == self.first[row + high[0] + 1] {
+                    continue;
+                }
+                let of_y = self.distance(1, y, position.y);
+                let left = reach_squared - (of_z * of_z + of_y * of_y);
+                if !(left > 0.0) {
+                    continue;
+                }
+                let half_row = left.sqrt().min(half.x);
+                let [from, to] = [-half_row, half_row].map(|x| self.along(0, position.x + x));
+                let places = self.first[row + from] as usize..self.first[row + to + 1] as usize;
+                if !places.is_empty() {
+                    visit(places);
+                }
             }
         }
+    }
+
+    /// How far a coordinate is from a layer of cells, or a little less.
+    #[inline(always)]
+    fn distance(&self, axis: usize, layer: usize, v: f64) -> f64 {
+        let (low, edge) = (layer as f64 * self.edges[axis], self.edges[axis]);
+        let rounding = MARGIN * self.edges[axis] * (self.cells[axis] as f64);
+        (low - v).max(v - (low + edge)).max(0.0) * (1.0 - MARGIN) - rounding
     }
 
     /// The cell of a place relative to the corner of the box, or the nearest.
     #[inline(always)]
     fn cell_of(&self, place: DVec3) -> [usize; 3] {
-        let in_cells = place * self.per_unit;
-        std::array::from_fn(|axis| (in_cells[axis].max(0.0) as usize).min(self.cells[axis] - 1))
-    }
-}
-
-impl Entries {
-    /// Makes room for a number of entries, whatever they are.
-    fn make_room(&mut self, count: usize) {
-        if self.of.len() < count {
-            grow(&mut self.of, count);
-            self.position.iter_mut().for_each(|column| grow(column, count));
-            grow(&mut self.reach_squared, count);
-        }
+        std::array::from_fn(|axis| self.along(axis, place[axis]))
     }
 
-    /// Which of the entries from one on may reach a place, a bit for each.
     #[inline(always)]
-    fn near(&self, first: usize, place: [f32; 3]) -> u32 {
-        let of = |column: &[f32]| -> [f32; TOGETHER] {
-            std::array::from_fn(|at| column[first..first + TOGETHER][at])
-        };
-        let [x, y, z] = self.position.each_ref().map(|column| of(column));
-        let reach_squared = of(&self.reach_squared);
-        let mut near = 0;
-        for at in 0..TOGETHER {
-            let (x, y, z) = (x[at] - place[0], y[at] - place[1], z[at] - place[2]);
-            near |= u32::from(x * x + y * y + z * z < reach_squared[at]) << at;
-        }
-        near
+    fn along(&self, axis: usize, v: f64) -> usize {
+        ((v * self.per_unit[axis]).max(0.0) as usize).min(self.cells[axis] - 1)
     }
 }
 
-/// Makes a column so long, and takes no more room than that.
-fn grow<T: Clone + Default>(column: &mut Vec<T>, length: usize) {
-    column.reserve_exact(length - column.len());
-    column.resize(length, T::default());
+impl Places {
+    /// Takes places, without densities yet, and says where those of each cell begin.
+    fn sort(&mut self, places: impl ExactSizeIterator<Item = DVec3> + Clone, grid: &mut Grid) {
+        let count = places.len();
+        self.order.clear();
+        self.order.extend(places.clone().map(|place| grid.number_of(place) as u32));
+        let mut first = std::mem::take(&mut grid.first);
+        first.clear();
+        first.resize(grid.count() + 2, 0);
+        // Where each cell begins stands one behind it while places are put where they belong.
+        self.order.iter().for_each(|&cell| first[cell as usize + 2] += 1);
+        (2..first.len()).for_each(|cell| first[cell] += first[cell - 1]);
+        self.coordinates.iter_mut().for_each(|column| column.resize(count + TOGETHER, 0.0));
+        for (place, order) in places.zip(&mut self.order) {
+            let to = &mut first[*order as usize + 1];
+            (0..3).for_each(|axis| self.coordinates[axis][*to as usize] = place[axis]);
+            *order = *to;
+            *to += 1;
+        }
+        grid.first = first;
+        self.densities.clear();
+        self.densities.resize(count + TOGETHER, 0.0);
+    }
+
+    /// Adds a point to some places that follow each other.
+    #[inline(always)]
+    fn add<S: Simd>(
+        &mut self,
+        simd: S,
+        places: Range<usize>,
+        (point, map): (&NearPoint, Option<&DMat3>),
+        kernel: impl Kernels,
+    ) {
+        let of = |v: f64| f64x8::splat(simd, v);
+        let numbers = f64x8::simd_from(simd, std::array::from_fn::<f64, TOGETHER, _>(|at| at as f64));
+        let position = point.position.to_array();
+        for first in places.clone().step_by(TOGETHER) {
+            let all = first..first + TOGETHER;
+            let [x, y, z]: [f64x8<S>; 3] = std::array::from_fn(|axis| {
+                f64x8::from_slice(simd, &self.coordinates[axis][all.clone()]) - of(position[axis])
+            });
+            let squares = match map {
+                None => (x * x + y * y + z * z) * of(point.inverse_squared),
+                Some(map) => {
+                    let [x, y, z]: [f64x8<S>; 3] = std::array::from_fn(|row| {
+                        x * of(map.x_axis[row]) + y * of(map.y_axis[row]) + z * of(map.z_axis[row])
+                    });
+                    x * x + y * y + z * z
+                }
+            };
+            let are_in_row = numbers.simd_lt(of((places.end - first) as f64));
+            let are_near = squares.simd_lt(of(1.0)) & are_in_row;
+            let more = are_near.select(of(point.weight) * kernel.values(simd, squares), of(0.0));
+            let densities = &mut self.densities[all];
+            (f64x8::from_slice(simd, densities) + more).store_slice(densities);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rayset_base::geometry::{DQuat, Shape};
+
+    fn cube() -> impl Strategy<Value = DVec3> {
+        proptest::array::uniform3(-1.0..1.0).prop_map(DVec3::from_array)
+    }
+
+    proptest! {
+        #[test]
+        fn sums_have_the_bits_of_a_loop_over_all_points_with_any_instructions(
+            points in proptest::collection::vec((cube(), -4.0..1.0, 0.1..2.0), 0..60),
+            places in proptest::collection::vec(cube(), 1..120),
+            are_ellipsoids: bool, is_flat: bool, kernel in proptest::sample::select(Kernel::OF_DENSITIES),
+        ) {
+            let mut all = Points::default();
+            for (position, exponent, weight) in points {
+                all.position.push(2.0 * position);
+                all.radius.push(10_f64.powf(exponent));
+                all.weight.push(weight);
+                if are_ellipsoids {
+                    let rotation = DQuat::from_scaled_axis(position * 3.0);
+                    all.shape.push(Shape { rotation, ratios: [0.7, weight * 0.2] });
+                }
+            }
+            let flat = if is_flat { DVec3::new(1.0, 0.0, 1.0) } else { DVec3::ONE };
+            let places: Vec<DVec3> = places.into_iter().map(|place| place * flat).collect();
+            let bounds = places.iter().fold(Aabb::EMPTY, |all, &place| all.union(Aabb::new(place, place)));
+            let mut near = NearPoints::default();
+            near.begin(&bounds);
+            near.take(&all);
+            let brute: Vec<u64> = places.iter().map(|&place| {
+                let place = place - near.corner;
+                let of = |(number, point): (usize, &NearPoint)| {
+                    let offset = place - point.position;
+                    let square = near.maps.get(number).map_or_else(
+                        || offset.length_squared() * point.inverse_squared,
+                        |&map| (map * offset).length_squared(),
+                    );
+                    (square < 1.0).then(|| point.weight * kernel.value(square))
+                };
+                near.points.iter().enumerate().filter_map(of).fold(0.0, |sum: f64, more| sum + more).to_bits()
+            }).collect();
+            for level in [Level::new(), Level::baseline()] {
+                let mut sums = vec![f64::NAN; places.len()];
+                near.sum_with(level, kernel, &places, &mut sums);
+                prop_assert_eq!(&sums.iter().map(|sum| sum.to_bits()).collect::<Vec<_>>(), &brute);
+            }
+        }
+    }
 }

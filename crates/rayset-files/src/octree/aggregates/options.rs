@@ -7,8 +7,8 @@ use rayset_base::setters;
 
 /// Cells of at most so many points are not divided, by default.
 const FEW_POINTS: u32 = 64;
-/// What a thread takes: points that are looked at together, and a grid over them.
-const THREAD_BYTES: u64 = 12 << 20;
+/// What a thread takes: points that are looked at together, and places among them.
+const THREAD_BYTES: u64 = 8 << 20;
 /// What records take before they are stored, and pages that are used again and again.
 const FIXED_BYTES: u64 = 8 << 20;
 
