@@ -3,6 +3,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use rayset::cancel::CancelToken;
 use rayset::container::{PAGE_HEAD_BYTES, reseal};
@@ -18,9 +19,12 @@ use rayset::scene::{
 };
 use rayset::trace::reference::far::{Far, pixels};
 use rayset::trace::{ExecSettings, render_once};
+use rayset::working_set::Limits;
 use rayset::{Picture, Region, Session};
+use rayset_lab::simulated::Behaviour;
 
 use crate::common::{Random, bits, build_at, folder, mixed_points, paged, picture, scene_of, settings};
+use crate::remote_storage::{quick, remote};
 
 fn add(path: &Path) {
     let options = AggregateOptions::default().with_memory_bytes(64 << 20).with_threads(2);
@@ -263,6 +267,43 @@ fn pictures_from_afar_depend_on_no_execution_setting() {
         {
             let exec = ExecSettings { threads, tile_pixels, slab_samples, ..ExecSettings::default() };
             assert!(with(&exec, budget) == plain, "{lod:?}: {threads} {tile_pixels} {slab_samples} {budget}");
+        }
+    }
+}
+
+/// What rays will need is looked for ahead, records of aggregates among it: one after another, each
+/// would take a round trip.
+#[test]
+fn remote_clouds_seen_from_afar_make_the_same_picture_and_tiles_are_hardly_put_off() {
+    let folder = folder();
+    let path = folder.path().join("c.rset");
+    let workload: Workload = "sphere-200k".parse().expect("a workload");
+    let radius = workload.radius().map(Rule::Number);
+    let options = BuildOptions { radius, page_bytes: Some(16384), ..BuildOptions::default() };
+    build_at(&path, workload.source(), &options);
+    add(&path);
+    let (object, camera) = seen_from(&path, 4.0);
+    let file = std::fs::read(&path).expect("the file");
+    let seen = |cloud: Arc<Cloud>, threads: usize, budget: u64, lod: Lod| {
+        let scene = lit(CloudObject { cloud, ..object.clone() });
+        let session = Session::builder().threads(threads).page_limits(Limits::total(budget)).build();
+        let prepared = session.expect("a session").prepare(&scene, &settings(96, 96).with_lod(lod));
+        let view = prepared.expect("a scene").view(&camera).expect("a view");
+        let mut seen = Picture::default();
+        let counts = view.render_bands(&view.region(), u32::MAX, &CancelToken::new(), &mut seen);
+        (bits(&seen.pixels), counts.expect("a picture").deferred)
+    };
+    for lod in [Lod::AUTO, Lod::COARSE] {
+        let (expected, _) = seen(object.cloud.clone(), 1, 1 << 30, lod);
+        for (threads, budget) in [(1, 1 << 30), (3, 1 << 30), (2, 64 * 16384)] {
+            let behaviour = Behaviour { latency: Duration::from_millis(5), ..Behaviour::default() };
+            let (_, storage) = remote(&file, behaviour, quick());
+            let cloud = Arc::new(Cloud::from_storage("remote", Arc::new(storage)).expect("a cloud"));
+            let (picture, deferred) = seen(cloud, threads, budget, lod);
+            assert!(picture == expected, "{lod:?}: {threads} threads, {budget} bytes");
+            // Otherwise most tiles are, some of them several times.
+            let most = if threads == 1 { 60 } else { u64::MAX };
+            assert!(deferred <= most, "{lod:?}: {deferred} of 144 tiles");
         }
     }
 }

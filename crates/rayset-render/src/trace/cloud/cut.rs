@@ -20,6 +20,16 @@ pub(super) enum NodeCut {
     Part(NodePart),
 }
 
+impl NodeCut {
+    /// What is seen of a node: every point where all are at least two pixels in radius, as their
+    /// cells are then, too.
+    pub(super) fn of(seen: Seen<'_>, node: &Node, part: NodePart) -> Self {
+        let largest = || seen.sight.largest_pixel_in(&node.bounds(seen.cloud.root_cell));
+        let is_whole = part.rest == 1.0 && f64::from(node.detail_min) >= 2.0 * largest();
+        if is_whole { Self::Whole } else { Self::Part(part) }
+    }
+}
+
 /// Points of one node that are seen in parts.
 #[derive(Clone, Debug)]
 pub(super) struct PointsOfNode {

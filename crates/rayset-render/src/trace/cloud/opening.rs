@@ -7,7 +7,7 @@ use super::ahead::{
 use super::cut::{Cut, NodeCut, PointsOfNode};
 use super::leaf_cut::LeafCuts;
 use super::nodes::RetainedNodes;
-use super::parts::{NONE, NodePart, Seen};
+use super::parts::{NONE, NodePart};
 use super::record_pages::RecordPages;
 use crate::field::{SLAB_SAMPLES, Slab};
 use crate::lod::LEAST_PART;
@@ -155,7 +155,8 @@ impl<'t> Opening<'t> {
                 let (from, to) = self.span.unwrap_or((u64::MAX, 0));
                 self.span = Some((from.min(first), to.max(last)));
             }
-            let cut = self.cut_of(&node, part);
+            let whole = || NodeCut::Whole;
+            let cut = self.place.seen_from_afar().map_or_else(whole, |seen| NodeCut::of(seen, &node, part));
             let is_seen = part.rest > 0.0 || node.level == 0;
             if is_seen {
                 self.heap.push(first, Ahead { last, item: Item::Node(node, cut) });
@@ -167,15 +168,6 @@ impl<'t> Opening<'t> {
         {
             self.heap.push(first, Ahead { last, item: Item::Records(records) });
         }
-    }
-
-    /// What is seen of a node: every point where all are at least two pixels in radius, as their
-    /// cells are then, too.
-    fn cut_of(&self, node: &Node, part: NodePart) -> NodeCut {
-        let Some(Seen { cloud, sight, .. }) = self.place.seen_from_afar() else { return NodeCut::Whole };
-        let largest = || sight.largest_pixel_in(&node.bounds(cloud.root_cell));
-        let is_whole = part.rest == 1.0 && f64::from(node.detail_min) >= 2.0 * largest();
-        if is_whole { NodeCut::Whole } else { NodeCut::Part(part) }
     }
 }
 

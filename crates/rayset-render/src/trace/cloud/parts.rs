@@ -11,7 +11,7 @@ pub(super) const NONE: u32 = u32::MAX;
 
 /// A node whose points may be seen as one.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct NodePart {
+pub(in crate::trace) struct NodePart {
     /// Its record, or [`NONE`].
     pub(super) record: u32,
     /// The nearest record at or above it, and its level.

@@ -9,10 +9,11 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use super::policy::{self, Policy};
-use super::probe::{Expected, Gap, ProbeRays};
+use super::probe::{Expected, Gap, Needed, ProbeRays};
+use crate::field::Sight;
 use crate::scene::Operator;
 use crate::trace::access::{Access, Lacking};
-use crate::trace::cloud::{CloudPlacement, CloudVolume, NodesInMemory};
+use crate::trace::cloud::{CloudVolume, FarAhead, NodesInMemory};
 use crate::trace::grid::{GridVolume, PagesAhead};
 use crate::trace::program::{Action, Program};
 use rayset_base::geometry::Ray;
@@ -67,8 +68,10 @@ impl Foresight {
         let (mut clouds, mut grids) = (Vec::new(), Vec::new());
         for (at, instruction) in program.instructions.iter().enumerate() {
             match &instruction.action {
-                // What is seen from afar needs few pages.
-                Action::Cloud(volume) if volume.lod.is_some() => {}
+                // What is seen from afar needs few pages: they are looked for where each is a round
+                // trip away.
+                Action::Cloud(volume)
+                    if volume.lod.is_some() && !policy.asks_together(&volume.placement.pages) => {}
                 Action::Cloud(volume) if volume.placement.header().points > 0 => {
                     let stop = if expects.careful && !ends[at] { 0.0 } else { stop };
                     let expected = Expected::new(&volume.shading, stop, expects);
@@ -84,13 +87,13 @@ impl Foresight {
         Self { files, clouds, grids, policy }
     }
 
-    /// Its clouds: where each is, the index of its file, and its expected effect on light.
+    /// Its clouds: each with the index of its file, and its expected effect on light.
     pub(super) fn clouds<'a>(
         &'a self,
         program: &'a Program,
-    ) -> impl Iterator<Item = (&'a CloudPlacement, u32, &'a Expected)> {
+    ) -> impl Iterator<Item = (&'a CloudVolume, u32, &'a Expected)> {
         self.clouds.iter().filter_map(|CloudAhead { at, file, expected }| {
-            program.cloud(*at).map(|CloudVolume { placement, .. }| (placement, *file, expected))
+            program.cloud(*at).map(|volume| (volume, *file, expected))
         })
     }
 
@@ -143,7 +146,7 @@ impl Foresight {
         let mut asked: Vec<BTreeSet<u32>> = vec![BTreeSet::new(); self.files.len()];
         for rays in packets {
             if !rays.is_empty() {
-                self.each_page(program, access.pages, rays, reach, |file, page| {
+                self.each_page(program, (access.pages, access.sight.as_ref()), rays, reach, |file, page| {
                     if !self.files[file as usize].is_settled(page) {
                         asked[file as usize].insert(page);
                     }
@@ -165,28 +168,36 @@ impl Foresight {
 
     /// Calls `want` with the pages of remote files that some rays, at most 64, are expected to
     /// need, and the indices of the files; `reach` is a factor on the optical depth with which they
-    /// are expected to have ended. Returns whether that is all: not if pages are absent that say
-    /// what lies behind them.
+    /// are expected to have ended, and with a sight they see what is far as it is seen from there.
+    /// Returns whether that is all: not if pages are absent that say what lies behind them.
     pub(super) fn each_page(
         &self,
         program: &Program,
-        pages: &PageClient,
+        (pages, sight): (&PageClient, Option<&Sight>),
         rays: &[Ray],
         reach: f32,
         mut want: impl FnMut(u32, u32),
     ) -> bool {
         let mut complete = true;
-        for (cloud, file, expected) in
-            self.clouds(program).filter(|(cloud, ..)| self.policy.asks_together(&cloud.pages))
+        let clouds = self.clouds(program);
+        for (volume, file, expected) in
+            clouds.filter(|(volume, ..)| self.policy.asks_together(&volume.placement.pages))
         {
-            let mut want_node = |node: &Node| cloud.own_pages_at_most(node).for_each(|page| want(file, page));
-            let mut nodes = NodesInMemory::new(pages, cloud);
+            let cloud = &volume.placement;
+            let mut want_of = |node: &Node, needed: Needed| match needed {
+                Needed::Points => cloud.own_pages_at_most(node).for_each(|page| want(file, page)),
+                Needed::Records(page) => want(file, page),
+            };
+            let (mut nodes, mut far) =
+                (NodesInMemory::new(pages, cloud), FarAhead::new(pages, volume, sight));
             let local: Vec<Ray> = rays.iter().map(|ray| cloud.local_ray(ray)).collect();
             let mut probes = ProbeRays::new(program.simd, &local, Gap::NONE).reaching(reach);
-            probes.explore(&mut nodes, expected, &mut want_node);
-            let nodes = nodes.absent;
-            complete &= nodes.is_empty();
-            nodes.into_iter().for_each(|page| want(file, page));
+            probes.explore(&mut nodes, far.as_mut(), expected, &mut want_of);
+            let absent = nodes.absent.into_iter().chain(far.into_iter().flat_map(|far| far.absent));
+            for page in absent {
+                complete = false;
+                want(file, page);
+            }
         }
         for (grid, file, opaque) in self.grids(program) {
             let PagesAhead { bricks, absent_ranges, .. } =

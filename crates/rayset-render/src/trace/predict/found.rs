@@ -72,6 +72,8 @@ pub(super) struct Found {
     pub(super) fresh: u64,
     /// Node pages that were hinted at for the next square, each once.
     pub(super) nodes_hinted: HashSet<PageId>,
+    /// Pages that the next square lacked when it was looked at.
+    pub(super) lacking: Vec<PageId>,
     /// Some of them had gone before all were there.
     pub(super) nodes_do_not_fit: bool,
     /// Tiles of tables of shadows whose pages have been looked for.

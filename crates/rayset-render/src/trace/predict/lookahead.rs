@@ -13,10 +13,10 @@ use super::found::{Found, Looked, PageId};
 use super::order::{Edge, Order};
 use super::pace::Pace;
 use super::policy::Policy;
-use super::probe::{Gap, ProbeRays};
+use super::probe::{Gap, Needed, ProbeRays};
 use crate::field::LANES;
 use crate::scene::RayMaker;
-use crate::trace::cloud::NodesInMemory;
+use crate::trace::cloud::{FarAhead, NodesInMemory};
 use crate::trace::shadow::{LitPlace, RaysToLight};
 use crate::trace::work::{Region, Tile};
 use crate::trace::world::World;
@@ -266,31 +266,39 @@ impl<'a> Lookahead<'a> {
         self.state.order.last_place(low, high)
     }
 
-    /// Lists the pages that a tile wants and those that follow it in its square; `None` if node
-    /// pages were absent, which are then hinted at.
+    /// Lists the pages that a tile wants and those that follow it in its square; `None` if pages of
+    /// nodes or records were absent, which are then hinted at.
     pub(super) fn look(&self, at: u32, edge: Edge, found: &mut Found) -> Option<Looked> {
         let rays = self.rays_of(&self.state.order.pixels_of_square(at, edge));
         let mut looked = Looked::new(self.state.order.rest_of_square(at, edge));
         let (mut complete, mut gone) = (true, false);
+        found.lacking.clear();
         let (world, policy) = (self.world, self.state.policy);
         let (casts_shadows, mut met) = (policy.asks_along_rays() && world.shadows.is_some(), Vec::new());
-        for (cloud, file, expected) in world.foresight.clouds(&world.program) {
-            let mut want = |node: &Node| {
-                let pages = policy.own_pages(cloud, node);
+        let sight = self.rays.sight();
+        for (volume, file, expected) in world.foresight.clouds(&world.program) {
+            let cloud = &volume.placement;
+            let mut want = |node: &Node, needed: Needed| {
+                let pages = match needed {
+                    Needed::Points => policy.own_pages(cloud, node),
+                    Needed::Records(page) => page..page + 1,
+                };
                 if !pages.is_empty() {
                     let use_by = self.last_visit(&cloud.bounds_world_of(node));
                     pages.for_each(|page| looked.want(PageId { file, page }, use_by));
                 }
             };
             let mut nodes = NodesInMemory::new(self.pages, cloud);
+            let mut far = FarAhead::new(self.pages, volume, Some(&sight));
             let local = rays.map(|ray| cloud.local_ray(&ray));
             let mut probes = ProbeRays::new(world.program.simd, &local, Gap::of_lattice(&local));
             if casts_shadows {
                 probes.note_met();
             }
-            probes.explore(&mut nodes, expected, &mut want);
+            probes.explore(&mut nodes, far.as_mut(), expected, &mut want);
             met.append(&mut probes.take_met());
-            let absent = nodes.absent;
+            let mut absent = nodes.absent;
+            absent.extend(far.into_iter().flat_map(|far| far.absent));
             complete &= absent.is_empty();
             gone |= self.hint_once(file, absent, found);
         }
@@ -334,12 +342,17 @@ impl<'a> Lookahead<'a> {
         let use_by = self.state.order.len();
         let foresight = &self.world.foresight;
         for RaysToLight { rays, tile } in shadows.rays_ahead(&places, &found.tiles_of_lights) {
-            let complete =
-                shadows.foresight.each_page(&shadows.program, self.pages, &rays, 1.0, |file, page| {
+            let complete = shadows.foresight.each_page(
+                &shadows.program,
+                (self.pages, None),
+                &rays,
+                1.0,
+                |file, page| {
                     if let Some(file) = foresight.number_of(&shadows.foresight, file) {
                         looked.want(PageId { file, page }, use_by);
                     }
-                });
+                },
+            );
             looked.tiles_of_lights.extend(tile.filter(|_| complete));
         }
     }
@@ -349,6 +362,7 @@ impl<'a> Lookahead<'a> {
     fn hint_once(&self, file: u32, mut absent: Vec<u32>, found: &mut Found) -> bool {
         let Some(object) = self.object(file) else { return false };
         let mut gone = false;
+        found.lacking.extend(absent.iter().map(|&page| PageId { file, page }));
         absent.retain(|&page| {
             let fresh = found.nodes_hinted.insert(PageId { file, page });
             gone |= !fresh && object.is_absent(page);

@@ -6,7 +6,7 @@ use std::convert::Infallible;
 use super::policy::Expects;
 use crate::field::{Crossing, LANES, RayColumns, SimdLevel};
 use crate::scene::OpacityRule;
-use crate::trace::cloud::{CloudShading, NodesInMemory};
+use crate::trace::cloud::{CloudShading, FarAhead, NodePart, NodesInMemory, Opened};
 use rayset_base::geometry::{Aabb, Beam, DVec3, Ray};
 use rayset_base::nearest_first::NearestFirst;
 use rayset_files::octree::layout::RootCell;
@@ -157,66 +157,101 @@ impl ProbeRays {
         }
     }
 
-    /// Calls `want`, nearest first, with the nodes that the rays are expected to reach, as far as
-    /// nodes are in memory.
+    /// Calls `want`, nearest first, with what the rays are expected to need, as far as nodes are in
+    /// memory, and records if the cloud is seen from afar.
     pub(super) fn explore(
         &mut self,
         nodes: &mut NodesInMemory<'_>,
+        far: Option<&mut FarAhead<'_>>,
         expected: &Expected,
-        want: &mut dyn FnMut(&Node),
+        want: &mut dyn FnMut(&Node, Needed),
     ) {
         let root_cell = nodes.header().root_cell();
         let mut exploration = Exploration {
             rays: self,
+            far,
             expected,
             root_cell,
             want,
             ahead: NearestFirst::default(),
             distance: 0.0,
+            part: None,
         };
+        if exploration.far.as_mut().is_some_and(|far| !far.begin()) {
+            return;
+        }
         let mut walk = Walk::new();
         let Ok(()) = walk.begin(nodes, &mut exploration);
         let Ok(()) = walk.go_on(nodes, &mut exploration);
     }
 }
 
-/// Probe rays on their way through an octree.
-struct Exploration<'t> {
-    rays: &'t mut ProbeRays,
-    expected: &'t Expected,
-    root_cell: RootCell,
-    /// Called for each node that rays are expected to reach.
-    want: &'t mut dyn FnMut(&Node),
-    /// Nodes ahead of the rays, by the distance at which they meet them.
-    ahead: NearestFirst<f64, Node>,
-    /// Distance at which the rays meet the node that is visited.
-    distance: f64,
+/// What rays that come to a node need besides those of its children.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Needed {
+    /// Its own points.
+    Points,
+    /// A page of records, by its number in the file.
+    Records(u32),
 }
 
-impl Visitor<NodesInMemory<'_>> for Exploration<'_> {
+/// Probe rays on their way through an octree.
+struct Exploration<'t, 'a> {
+    rays: &'t mut ProbeRays,
+    /// If the cloud is seen from afar.
+    far: Option<&'t mut FarAhead<'a>>,
+    expected: &'t Expected,
+    root_cell: RootCell,
+    /// Called for what rays are expected to need.
+    want: &'t mut dyn FnMut(&Node, Needed),
+    /// Nodes ahead of the rays, by the distance at which they meet them, with the part that is seen
+    /// of each, if that is not every point.
+    ahead: NearestFirst<f64, (Node, Option<NodePart>)>,
+    /// Distance at which the rays meet the node that is visited.
+    distance: f64,
+    /// The part that is seen of it.
+    part: Option<NodePart>,
+}
+
+impl Exploration<'_, '_> {
+    /// Bounds of influence of a node.
+    fn bounds(&self, node: &Node) -> Aabb {
+        self.far.as_ref().map_or_else(|| node.bounds(self.root_cell), |far| far.bounds(node))
+    }
+}
+
+impl Visitor<NodesInMemory<'_>> for Exploration<'_, '_> {
     fn meet(&mut self, node: Node) {
-        if let Some(distance) = self.rays.first_meeting(&node.bounds(self.root_cell)) {
-            self.ahead.push(distance, node);
+        let part = self.far.as_mut().and_then(|far| far.meet(&node));
+        if let Some(distance) = self.rays.first_meeting(&self.bounds(&node)) {
+            self.ahead.push(distance, (node, part));
         }
     }
 
     fn next(&mut self) -> Option<Node> {
-        let (distance, node) = self.ahead.pop()?;
-        self.distance = distance;
+        let (distance, (node, part)) = self.ahead.pop()?;
+        (self.distance, self.part) = (distance, part);
         Some(node)
     }
 
     fn visit(&mut self, node: &Node, _: &mut Walk, _: &mut NodesInMemory<'_>) -> Result<Visit, Infallible> {
-        let bounds = node.bounds(self.root_cell);
+        let bounds = self.bounds(node);
         let crossing = self.rays.cross(&bounds, self.distance);
         if crossing.near == 0 {
             return Ok(Visit::Skip);
         }
-        (self.want)(node);
-        if node.child_mask == 0 {
+        let (part, all) = (self.part, Opened { points: true, children: true });
+        let opened = self.far.as_mut().map_or(all, |far| far.open(node, part));
+        if opened.points {
+            (self.want)(node, Needed::Points);
+        }
+        for page in self.far.as_mut().map(|far| far.take_touched()).unwrap_or_default() {
+            (self.want)(node, Needed::Records(page));
+        }
+        if node.child_mask == 0 || !opened.children {
             self.rays.absorb(&crossing, self.expected.extinction(node, &bounds), self.expected);
         }
-        Ok(Visit::Open)
+        Ok(if opened.children { Visit::Open } else { Visit::Skip })
     }
 }
 

@@ -9,8 +9,9 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::found::{Found, PageId};
+use super::found::{Found, Looked, PageId};
 use super::lookahead::Lookahead;
+use crate::trace::cloud::FarAhead;
 
 /// So many pages are left to what nobody expected: measured, with fewer they evict each other
 /// before their tiles are traced again.
@@ -25,6 +26,10 @@ const BURSTS: u64 = 4;
 /// Node pages are read at once, before anything else, if they take at most one part in this many of
 /// the budget.
 const NODES: u64 = 3;
+/// So may those of records of what is seen from afar, at most one part in this many.
+const RECORDS: u64 = 4;
+/// So many squares behind one that cannot be looked at yet are asked what they lack.
+const SQUARES_BEHIND: u32 = 16;
 /// A square may add at most one part in this many to what the window may take; otherwise smaller
 /// ones are examined.
 const PARTS: u64 = 4;
@@ -77,9 +82,7 @@ impl Lookahead<'_> {
     fn widen(&self, found: &mut Found, here: u32, room: u64) -> bool {
         let looked = loop {
             let put_off = found.put_off.take().filter(|looked| looked.places.start == found.next);
-            let Some(looked) = put_off.or_else(|| self.look(found.next, found.edge, found)) else {
-                return false;
-            };
+            let Some(looked) = put_off.or_else(|| self.look_once(found)) else { return false };
             match found.edge.halved() {
                 Some(smaller) if found.more_for(&looked) > room / PARTS => found.edge = smaller,
                 _ => break looked,
@@ -97,6 +100,30 @@ impl Lookahead<'_> {
         let left = room.saturating_sub(found.wanted).max(room / PARTS);
         found.take_in_at_most(looked, left);
         true
+    }
+
+    /// Looks at the next square, unless what it lacked the last time is still on its way. If it
+    /// lacks something else, squares behind it most likely do, too: that is asked for together, if
+    /// there is room.
+    fn look_once(&self, found: &mut Found) -> Option<Looked> {
+        let is_under_way = |id: &PageId| self.object(id.file).is_some_and(|file| file.is_under_way(id.page));
+        if found.lacking.iter().any(is_under_way) {
+            return None;
+        }
+        let looked = self.look(found.next, found.edge, found);
+        if looked.is_none() && found.wanted + LEAST_AHEAD < self.room(found) {
+            let (lacking, order) = (std::mem::take(&mut found.lacking), &self.state.order);
+            let mut place = found.next;
+            for _ in 0..SQUARES_BEHIND {
+                place = order.rest_of_square(place, found.edge).end;
+                if place >= order.len() {
+                    break;
+                }
+                let _ = self.look(place, found.edge, found);
+            }
+            found.lacking = lacking;
+        }
+        looked
     }
 
     /// Pages that rays use up while one is on its way.
@@ -127,12 +154,15 @@ impl Lookahead<'_> {
         self.object(file).is_some_and(|object| self.pages.let_go(object, page))
     }
 
-    /// Asks for all node pages of remote clouds, if they are few, and for all ranges of bricks of
-    /// remote grids likewise, and keeps them as long as the picture is made: walking down the
-    /// octree page by page would take a round trip for each level.
+    /// Asks for all node pages of remote clouds, if they are few, for all ranges of bricks of
+    /// remote grids likewise, and for the first records of what is seen from afar, and keeps them
+    /// as long as the picture is made: walking down the octree page by page would take a round trip
+    /// for each level.
     fn bring_nodes(&self, found: &mut Found) {
         let (foresight, program) = (&self.world.foresight, &self.world.program);
-        let clouds = foresight.clouds(program).map(|(cloud, file, _)| {
+        self.bring_records(found);
+        let clouds = foresight.clouds(program).map(|(volume, file, _)| {
+            let cloud = &volume.placement;
             let first = cloud.first_node_page;
             (file, first, first + cloud.header().node_pages)
         });
@@ -150,6 +180,19 @@ impl Lookahead<'_> {
                 self.pages.hint_to_stay(object, &nodes, self.reuse);
                 found.nodes_to_let_go.extend(nodes.iter().map(|&page| PageId { file, page }));
             }
+        }
+    }
+
+    fn bring_records(&self, found: &mut Found) {
+        let (foresight, sight) = (&self.world.foresight, self.rays.sight());
+        for (volume, file, _) in foresight.clouds(&self.world.program) {
+            let object = &volume.placement.pages;
+            let far = FarAhead::new(self.pages, volume, Some(&sight));
+            let Some(far) = far.filter(|_| foresight.policy.asks_together(object)) else { continue };
+            let most = self.pages.share_bytes() / RECORDS / self.state.page_bytes;
+            let pages: Vec<u32> = far.coarse_pages().take(most as usize).collect();
+            self.pages.hint_to_stay(object, &pages, self.reuse);
+            found.nodes_to_let_go.extend(pages.iter().map(|&page| PageId { file, page }));
         }
     }
 }
