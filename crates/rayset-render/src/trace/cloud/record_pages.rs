@@ -58,19 +58,20 @@ impl<'a> RecordPages<'a> {
         if !is_held {
             self.held = Some((page, self.bring(page)?));
         }
+        if matches!(self.source, Source::InMemory(_)) && self.touched.last() != Some(&page) {
+            self.touched.push(page);
+        }
         let Some((_, bytes)) = &self.held else { return Err(self.cloud.broken(page).into()) };
         Ok((AggregatePage::trusted(bytes, header, self.aggregates), page, index))
     }
 
-    fn bring(&mut self, page: u32) -> Result<PageGuard, Halt> {
+    fn bring(&self, page: u32) -> Result<PageGuard, Halt> {
         match self.source {
             Source::Retained(access) => access.retain(self.cloud, page),
             Source::InMemory(client) => {
                 let object = &self.cloud.pages;
                 let lacking = || Halt::Deferred(Lacking { object: object.clone(), page });
-                let guard = client.peek(object, page).ok_or_else(lacking)?;
-                self.touched.push(page);
-                Ok(guard)
+                client.peek(object, page).ok_or_else(lacking)
             }
         }
     }

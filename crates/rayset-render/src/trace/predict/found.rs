@@ -70,9 +70,11 @@ pub(super) struct Found {
     sights: u32,
     /// Pages that no tile known then had wanted before, when they were found.
     pub(super) fresh: u64,
-    /// Node pages that were hinted at for the next square, each once.
+    /// Pages of nodes and records that were hinted at for the next squares, each once.
     pub(super) nodes_hinted: HashSet<PageId>,
-    /// Pages that the next square lacked when it was looked at.
+    /// Pages of records that stay until the picture is finished.
+    pub(super) records_to_let_go: HashSet<PageId>,
+    /// Pages that the square lacked that was looked at last.
     pub(super) lacking: Vec<PageId>,
     /// Some of them had gone before all were there.
     pub(super) nodes_do_not_fit: bool,

@@ -134,6 +134,7 @@ impl<'a> Lookahead<'a> {
         if found.next < here {
             found.next = here;
             found.nodes_hinted.clear();
+            found.lacking.clear();
         }
         if state.policy.holds_pages() {
             self.fill_window(&mut found, here);
@@ -164,7 +165,7 @@ impl<'a> Lookahead<'a> {
         if self.state.policy.holds_pages() {
             let kept: Vec<PageId> =
                 found.seen.keys().chain(&found.to_let_go).chain(&found.nodes_to_let_go).copied().collect();
-            kept.into_iter().for_each(|page| {
+            kept.into_iter().chain(found.records_to_let_go.iter().copied()).for_each(|page| {
                 self.let_go(page);
             });
         }
@@ -283,7 +284,8 @@ impl<'a> Lookahead<'a> {
                     Needed::Points => policy.own_pages(cloud, node),
                     Needed::Records(page) => page..page + 1,
                 };
-                if !pages.is_empty() {
+                let stay = |page: u32| found.records_to_let_go.contains(&PageId { file, page });
+                if !pages.is_empty() && !(matches!(needed, Needed::Records(_)) && stay(pages.start)) {
                     let use_by = self.last_visit(&cloud.bounds_world_of(node));
                     pages.for_each(|page| looked.want(PageId { file, page }, use_by));
                 }
@@ -362,6 +364,8 @@ impl<'a> Lookahead<'a> {
     fn hint_once(&self, file: u32, mut absent: Vec<u32>, found: &mut Found) -> bool {
         let Some(object) = self.object(file) else { return false };
         let mut gone = false;
+        absent.sort_unstable();
+        absent.dedup();
         found.lacking.extend(absent.iter().map(|&page| PageId { file, page }));
         absent.retain(|&page| {
             let fresh = found.nodes_hinted.insert(PageId { file, page });

@@ -55,7 +55,9 @@ impl Lookahead<'_> {
         state.pace.needed(found.fresh * u64::from((here + 1).min(examined)) / u64::from(examined));
         let room = self.room(found);
         let ahead = (MARGIN * self.pages_under_way()).max(LEAST_AHEAD);
+        // Records that no ray comes to may stay unused.
         let unused = self.pages.hinted_bytes() / state.page_bytes;
+        let unused = unused.saturating_sub(found.records_to_let_go.len() as u64);
         let is_full = |part: u64, found: &Found| {
             found.wanted >= room - room / part || unused + found.waiting.len() as u64 >= ahead - ahead / part
         };
@@ -72,7 +74,8 @@ impl Lookahead<'_> {
     /// Pages that the window may take.
     fn room(&self, found: &Found) -> u64 {
         let pages = self.pages.share_bytes() / self.state.page_bytes;
-        let pages = pages.saturating_sub(found.nodes_to_let_go.len() as u64);
+        let stay = found.nodes_to_let_go.len() + found.records_to_let_go.len();
+        let pages = pages.saturating_sub(stay as u64);
         pages - LEAST_RESERVE.max(pages / RESERVE).min(pages / MOST_RESERVE)
     }
 
@@ -103,16 +106,19 @@ impl Lookahead<'_> {
     }
 
     /// Looks at the next square, unless what it lacked the last time is still on its way. If it
-    /// lacks something else, squares behind it most likely do, too: that is asked for together, if
-    /// there is room.
+    /// lacks what nobody has asked for, squares behind it most likely do, too: that is asked for
+    /// together, if there is room.
     fn look_once(&self, found: &mut Found) -> Option<Looked> {
         let is_under_way = |id: &PageId| self.object(id.file).is_some_and(|file| file.is_under_way(id.page));
         if found.lacking.iter().any(is_under_way) {
             return None;
         }
+        let known = found.nodes_hinted.len();
         let looked = self.look(found.next, found.edge, found);
-        if looked.is_none() && found.wanted + LEAST_AHEAD < self.room(found) {
-            let (lacking, order) = (std::mem::take(&mut found.lacking), &self.state.order);
+        let is_fresh = found.nodes_hinted.len() > known;
+        if looked.is_none() && is_fresh && found.wanted + LEAST_AHEAD < self.room(found) {
+            let (lacking, gone) = (std::mem::take(&mut found.lacking), found.nodes_do_not_fit);
+            let order = &self.state.order;
             let mut place = found.next;
             for _ in 0..SQUARES_BEHIND {
                 place = order.rest_of_square(place, found.edge).end;
@@ -121,7 +127,7 @@ impl Lookahead<'_> {
                 }
                 let _ = self.look(place, found.edge, found);
             }
-            found.lacking = lacking;
+            (found.lacking, found.nodes_do_not_fit) = (lacking, gone);
         }
         looked
     }
@@ -189,10 +195,12 @@ impl Lookahead<'_> {
             let object = &volume.placement.pages;
             let far = FarAhead::new(self.pages, volume, Some(&sight));
             let Some(far) = far.filter(|_| foresight.policy.asks_together(object)) else { continue };
-            let most = self.pages.share_bytes() / RECORDS / self.state.page_bytes;
-            let pages: Vec<u32> = far.coarse_pages().take(most as usize).collect();
+            let most = (self.pages.share_bytes() / RECORDS / self.state.page_bytes) as usize;
+            let left = most.saturating_sub(found.records_to_let_go.len());
+            let is_new = |&page: &u32| !found.records_to_let_go.contains(&PageId { file, page });
+            let pages: Vec<u32> = far.coarse_pages().filter(is_new).take(left).collect();
             self.pages.hint_to_stay(object, &pages, self.reuse);
-            found.nodes_to_let_go.extend(pages.iter().map(|&page| PageId { file, page }));
+            found.records_to_let_go.extend(pages.iter().map(|&page| PageId { file, page }));
         }
     }
 }
