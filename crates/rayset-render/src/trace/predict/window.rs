@@ -160,8 +160,8 @@ impl Lookahead<'_> {
         self.object(file).is_some_and(|object| self.pages.let_go(object, page))
     }
 
-    /// Asks for all node pages of remote clouds, if they are few, for all ranges of bricks of
-    /// remote grids likewise, and for the first records of what is seen from afar, and keeps them
+    /// Asks for all node pages of remote clouds, if they are few, and for all ranges of bricks of
+    /// remote grids likewise. First come the first records of what is seen from afar. All are kept
     /// as long as the picture is made: walking down the octree page by page would take a round trip
     /// for each level.
     fn bring_nodes(&self, found: &mut Found) {
