@@ -31,7 +31,13 @@ pub struct RunBatch {
     len: usize,
     kept: KeptRuns,
     sight: Option<Sight>,
+    /// The sights by which runs are kept that are seen from afar, and the number of the one above.
+    sights: Vec<Sight>,
+    sight_number: u16,
 }
+
+/// More sights than there mostly are: by each of 24 widths of pixels of a few lights and clouds.
+const MOST_SIGHTS: usize = 256;
 
 /// What became of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -127,6 +133,7 @@ impl RunBatch {
         if self.len == MOST_RUNS {
             return Ok(Appended::NoRoom);
         }
+        let key = RunKey { sight: self.sight_number, ..key };
         if self.kept.is_empty_run(key) {
             return Ok(Appended::Nothing);
         }
@@ -180,9 +187,24 @@ impl RunBatch {
         is_one
     }
 
-    /// Sets how points are seen, in their cloud's space; of a cloud it must always be the same.
+    /// Sets how points are seen, in their cloud's space; of a cloud of splats it must always be the
+    /// same.
     pub fn set_sight(&mut self, sight: Option<Sight>) {
         self.sight = sight;
+        let Some(sight) = sight else { return };
+        if self.sights.get(usize::from(self.sight_number)) == Some(&sight) {
+            return;
+        }
+        let known = self.sights.iter().position(|known| *known == sight);
+        let number = known.unwrap_or_else(|| {
+            if self.sights.len() == MOST_SIGHTS {
+                self.sights.clear();
+                self.kept.forget_packed();
+            }
+            self.sights.push(sight);
+            self.sights.len() - 1
+        });
+        self.sight_number = number as u16;
     }
 
     /// Says whether there are [`KEPT_BYTES`](super::KEPT_BYTES) of memory to keep runs in; without,

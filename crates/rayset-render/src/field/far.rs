@@ -62,9 +62,11 @@ impl FarDecoder {
         Self { sections, columns, spread, colors_densities, has_normals: false, color_from_byte }
     }
 
-    /// Sets which attributes of the cloud fields carry, and whether directions.
-    pub(crate) fn carry(&mut self, columns: &AttributeColumns, normals: bool) {
+    /// Sets which attributes of the cloud fields carry, and whether directions, and colours that
+    /// follow from densities.
+    pub(crate) fn carry(&mut self, columns: &AttributeColumns, normals: bool, colors: bool) {
         self.has_normals = normals;
+        self.colors_densities &= colors;
         let color = |display: f64| {
             if columns.color_as_displayed { display } else { linear_from_srgb(display) }
         };

@@ -24,6 +24,19 @@ impl Footprints {
                 let direction = direction.normalize_or_zero().to_array();
                 seen.toward = direction.map(|v| [v as f32; RUN_POINTS]);
             }
+            Eye::Toward(place) => {
+                let from = (run.center - place).to_array().map(|v| v as f32);
+                for i in 0..RUN_POINTS {
+                    let offset = [0, 1, 2].map(|axis| from[axis] + run.points.position[axis][i]);
+                    let square = dot(offset, offset);
+                    // At the place itself, any direction.
+                    let inverse = if square > 0.0 { 1.0 / square.sqrt() } else { 0.0 };
+                    for axis in 0..3 {
+                        seen.toward[axis][i] = offset[axis] * inverse;
+                    }
+                    seen.toward[2][i] += if square > 0.0 { 0.0 } else { 1.0 };
+                }
+            }
             Eye::At(eye) => {
                 let from = (run.center - eye).to_array().map(|v| v as f32);
                 let forward = sight.forward.to_array().map(|v| v as f32);

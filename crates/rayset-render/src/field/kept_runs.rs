@@ -54,6 +54,11 @@ impl KeptRuns {
         self.packed.set_room(bytes);
     }
 
+    /// Forgets what is seen of runs from afar.
+    pub(super) fn forget_packed(&mut self) {
+        self.packed.clear();
+    }
+
     /// Takes a run out, if it is kept as samples that are at least `step` apart need it: `run`
     /// becomes it.
     pub(super) fn take(&mut self, key: RunKey, step: f64, run: &mut Box<DecodedRun>) -> bool {
@@ -107,7 +112,7 @@ mod tests {
     use super::*;
 
     fn key(number: u16) -> RunKey {
-        RunKey { cloud: 1, page: 2, number, what: RunPart::Whole }
+        RunKey { cloud: 1, page: 2, number, what: RunPart::Whole, sight: 0 }
     }
 
     #[test]

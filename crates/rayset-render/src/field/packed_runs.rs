@@ -86,6 +86,14 @@ impl PackedRuns {
         };
     }
 
+    /// Forgets all runs.
+    pub(super) fn clear(&mut self) {
+        self.empty.clear();
+        self.number_of.clear();
+        self.kept.clear();
+        (self.bytes, self.oldest) = (0, 0);
+    }
+
     /// Whether a run is known to have no points.
     pub(super) fn is_empty_run(&self, key: RunKey) -> bool {
         self.empty.contains(&key)
@@ -281,7 +289,7 @@ mod tests {
     }
 
     fn key(page: u32, number: u16) -> RunKey {
-        RunKey { cloud: 1, page, number, what: RunPart::Spread(0) }
+        RunKey { cloud: 1, page, number, what: RunPart::Spread(0), sight: 0 }
     }
 
     #[test]

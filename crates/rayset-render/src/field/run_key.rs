@@ -11,6 +11,8 @@ pub struct RunKey {
     pub number: u16,
     /// What is decoded of it.
     pub what: RunPart,
+    /// Of what is seen from afar, the number of the sight: a batch sets it.
+    pub sight: u16,
 }
 
 /// What is decoded of a run.

@@ -9,6 +9,8 @@ pub enum Eye {
     At(DVec3),
     /// All along one direction.
     Along(DVec3),
+    /// Along rays that all go to a place, with pixels that are as wide everywhere.
+    Toward(DVec3),
 }
 
 impl Eye {
@@ -16,25 +18,27 @@ impl Eye {
     #[must_use]
     pub fn toward(self, place: DVec3) -> DVec3 {
         let toward = match self {
-            Self::At(eye) => place - eye,
+            Self::At(eye) | Self::Toward(eye) => place - eye,
             Self::Along(direction) => direction,
         };
         toward.normalize_or(DVec3::Z)
     }
 }
 
-/// A picture's eye and its pixels, in one space.
+/// A picture's eye and its pixels, in one space; or those of the rays of a light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sight {
     /// From where it is seen.
     pub eye: Eye,
     /// The direction of the middle of the picture, of length one.
     pub forward: DVec3,
-    /// Edge of a pixel: at the distance 1 in front of an eye that is a place, everywhere of one
-    /// that is not.
+    /// Edge of a pixel: at the distance 1 in front of an eye at a place, otherwise everywhere.
     pub pixel: f64,
     /// The cosine of the angle between the middle and the corners of the picture.
     pub corner_cosine: f64,
+    /// Whether what is seen is shown. It is not to lights: splats, which look different from
+    /// everywhere, have the same shadow for everyone.
+    pub is_shown: bool,
 }
 
 impl Sight {
@@ -42,11 +46,11 @@ impl Sight {
     /// other space has.
     #[must_use]
     pub fn transformed(self, map: &DAffine3) -> Self {
+        let scale = map.matrix3.determinant().abs().cbrt();
         let (eye, scale) = match self.eye {
             Eye::At(place) => (Eye::At(map.transform_point3(place)), 1.0),
-            Eye::Along(direction) => {
-                (Eye::Along(map.transform_vector3(direction)), map.matrix3.determinant().abs().cbrt())
-            }
+            Eye::Along(direction) => (Eye::Along(map.transform_vector3(direction)), scale),
+            Eye::Toward(place) => (Eye::Toward(map.transform_point3(place)), scale),
         };
         let forward = map.transform_vector3(self.forward).normalize_or(DVec3::Z);
         Self { eye, forward, pixel: self.pixel * scale, ..self }
@@ -60,7 +64,7 @@ impl Sight {
     #[must_use]
     pub fn pixel_at(&self, place: DVec3) -> f64 {
         match self.eye {
-            Eye::Along(_) => self.pixel,
+            Eye::Along(_) | Eye::Toward(_) => self.pixel,
             Eye::At(eye) => {
                 let (offset, distance) = (place - eye, place.distance(eye));
                 // Not a number at the eye itself, which `max` leaves out.
@@ -74,7 +78,7 @@ impl Sight {
     #[must_use]
     pub fn least_pixel_in(&self, bounds: &Aabb) -> f64 {
         match self.eye {
-            Eye::Along(_) => self.pixel,
+            Eye::Along(_) | Eye::Toward(_) => self.pixel,
             Eye::At(eye) => {
                 let nearest = eye.clamp(bounds.min, bounds.max);
                 let cosine = self.corner_cosine;
@@ -87,7 +91,7 @@ impl Sight {
     #[must_use]
     pub fn largest_pixel_in(&self, bounds: &Aabb) -> f64 {
         match self.eye {
-            Eye::Along(_) => self.pixel,
+            Eye::Along(_) | Eye::Toward(_) => self.pixel,
             Eye::At(eye) => {
                 let farthest = (bounds.center() - eye).abs() + bounds.size() * 0.5;
                 self.pixel * farthest.length()

@@ -198,7 +198,7 @@ impl RayMaker {
         };
         let corner = self.ray(0.0, 0.0).direction;
         let (forward, pixel) = (self.forward, self.pixel());
-        Sight { eye, forward, pixel, corner_cosine: corner.dot(forward) }
+        Sight { eye, forward, pixel, corner_cosine: corner.dot(forward), is_shown: true }
     }
 
     /// Edge of a pixel: of a perspective at the distance 1 in front of the eye.

@@ -193,6 +193,15 @@ impl OpacityRule {
         if let Self::Curve(curve) = self { list_bytes(curve) } else { 0 }
     }
 
+    /// Whether the opacity reaches 1: it is that of solid things, with surfaces.
+    pub(crate) fn is_solid(&self) -> bool {
+        match self {
+            Self::Clamp => true,
+            Self::Extinction(_) => false,
+            Self::Curve(points) => points.iter().any(|&(_, opacity)| opacity >= 1.0),
+        }
+    }
+
     /// Checks the extinction coefficient or the curve.
     ///
     /// # Errors

@@ -91,17 +91,17 @@ pub(super) struct Access<'a> {
     pub(super) threads: usize,
     /// Bytes of the pages requested so far.
     pub(super) asked_bytes: &'a Cell<u64>,
-    /// How the picture is seen, world space; `None` of what is not shown, as shadows are not: they
-    /// are the same from everywhere.
+    /// How the picture, or what keeps a light away, is seen, world space. `None` if nothing is seen
+    /// from afar, nor shown.
     pub(super) sight: Option<Sight>,
     /// What this thread knows about when pages are used again.
     pub(super) reuse: &'a RefCell<Reuse>,
 }
 
 impl Access<'_> {
-    /// The same for what is not shown.
-    pub(super) fn unseen(self) -> Self {
-        Self { sight: None, ..self }
+    /// The same for other rays.
+    pub(super) fn seen(self, sight: Option<Sight>) -> Self {
+        Self { sight, ..self }
     }
 
     /// Ends the attempt if the render is cancelled.

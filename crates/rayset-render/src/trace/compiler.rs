@@ -25,6 +25,7 @@ type Compiled = (Action<Unopened>, Aabb, Option<[f32; 3]>);
 
 struct Compiler<'s> {
     scene: &'s Scene,
+    purpose: Purpose,
     lod: Lod,
     simd: SimdLevel,
     instructions: Vec<Instruction<Unopened>>,
@@ -48,10 +49,11 @@ impl Program<Unopened> {
         let leaves = (purpose == Purpose::Layers).then_some(0);
         let (instructions, known, materials) = (Vec::new(), HashMap::new(), Vec::new());
         let names = scene.root.attributes_read();
-        let mut compiler = Compiler { scene, lod, simd, instructions, known, names, materials, leaves };
+        let mut compiler =
+            Compiler { scene, purpose, lod, simd, instructions, known, names, materials, leaves };
         let material = compiler.material(&Material::default());
         compiler.add(&scene.root, &DAffine3::IDENTITY, material);
-        compiler.finish(purpose)
+        compiler.finish()
     }
 }
 
@@ -128,7 +130,11 @@ impl Compiler<'_> {
         world_from_local: &DAffine3,
         material: [f32; MATERIAL],
     ) -> Compiled {
-        let volume = CloudVolume::new(object, world_from_local, (self.scene, self.lod), material);
+        // Rays to lights end at the first surface of what is solid: few points are looked at, and
+        // what stands for these would throw shadows on itself.
+        let sees_all = self.purpose == Purpose::Shadow && object.transfer.opacity.is_solid();
+        let lod = if sees_all { Lod::Off } else { self.lod };
+        let volume = CloudVolume::new(object, world_from_local, (self.scene, lod), material);
         let color = volume.shading.uniform_color();
         (Action::Cloud(Box::new(volume)), object.bounds().transformed(world_from_local), color)
     }
@@ -216,15 +222,15 @@ impl Compiler<'_> {
     }
 
     /// Passes the required outputs down from the root to each instruction.
-    fn finish(mut self, purpose: Purpose) -> Program<Unopened> {
+    fn finish(mut self) -> Program<Unopened> {
         let used = used_materials(&self.instructions);
         let material = if used.len() == 1 { used.first().copied() } else { None };
         let root = self.instructions.len() - 1;
         let color = self.instructions[root].color;
-        let lump_opacity = self.name_lump_opacity(purpose);
+        let lump_opacity = self.name_lump_opacity();
         self.instructions[root].required = RequiredOutputs {
             attributes: lump_opacity.map_or(0, |number| 1 << number),
-            ..self.wanted_of_root(purpose, color, material.is_none())
+            ..self.wanted_of_root(color, material.is_none())
         };
         self.instructions[root].measures.1 = Measure::OpticalDepth;
         let has_splats = self.has_cloud(|c| c.shading.kernel == Kernel::Splat || c.lod.is_some());
@@ -253,8 +259,8 @@ impl Compiler<'_> {
 
     /// Adds the name of an attribute that says how wrong what is seen from afar may be, if anything
     /// is, and if there is room for a name.
-    fn name_lump_opacity(&mut self, purpose: Purpose) -> Option<usize> {
-        let is_of_eye = matches!(purpose, Purpose::Picture | Purpose::Layers);
+    fn name_lump_opacity(&mut self) -> Option<usize> {
+        let is_of_eye = matches!(self.purpose, Purpose::Picture | Purpose::Layers);
         let is_seen = is_of_eye && self.has_cloud(|cloud| cloud.lod.is_some());
         (is_seen && self.names.len() < MOST_ATTRIBUTES).then(|| {
             self.names.push(LUMP_OPACITY.into());
@@ -262,19 +268,14 @@ impl Compiler<'_> {
         })
     }
 
-    fn wanted_of_root(
-        &self,
-        purpose: Purpose,
-        color: Option<[f32; 3]>,
-        materials_differ: bool,
-    ) -> RequiredOutputs {
-        if purpose == Purpose::Shadow {
+    fn wanted_of_root(&self, color: Option<[f32; 3]>, materials_differ: bool) -> RequiredOutputs {
+        if self.purpose == Purpose::Shadow {
             return RequiredOutputs::default();
         }
-        if purpose == Purpose::Surface {
+        if self.purpose == Purpose::Surface {
             return RequiredOutputs { normal: true, ..RequiredOutputs::default() };
         }
-        let layers = purpose == Purpose::Layers;
+        let layers = self.purpose == Purpose::Layers;
         let lights = match &self.scene.lighting {
             Lighting::Unlit if layers => &Vec::new(),
             Lighting::Unlit => {

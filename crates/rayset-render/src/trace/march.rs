@@ -77,6 +77,12 @@ impl<'p> March<'p> {
         }
     }
 
+    /// From now on, rays have these steps.
+    pub(super) fn set_steps(&mut self, steps: &'p StepRule) {
+        self.steps = steps;
+        self.details.set_rule(steps);
+    }
+
     /// Follows at most 64 rays, each with its sample offset in steps, front to back, slab by slab,
     /// until all have ended or nothing is left ahead. Returns the lanes of the rays that have not
     /// ended.

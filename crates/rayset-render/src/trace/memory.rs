@@ -81,7 +81,7 @@ impl SceneNeeds {
 
     /// The needs of a scene without caps, or of one in which something else takes their place.
     fn of_program(scene: &Scene, settings: &RenderSettings, program: &Program<Unopened>) -> Self {
-        let (of_shadows, of_shadows_in_thread) = Shadows::most_bytes(scene);
+        let (of_shadows, of_shadows_in_thread) = Shadows::most_bytes(scene, settings);
         let turns = program.turns().any() && settings.max_depth > 0;
         let tree = if turns { tree_bytes(settings.max_depth) } else { 0 };
         let clouds: Vec<Arc<Cloud>> = once(program.clouds_of().cloned());

@@ -255,6 +255,57 @@ fn what_is_lent_counts_as_pages_do_is_a_small_part_and_is_due_where_the_budget_f
     assert!(client.lend(PAGE, 32).is_some());
 }
 
+/// Pages that are computed.
+struct Computed(Source);
+
+impl PageSource for Computed {
+    fn pages(&self) -> u32 {
+        self.0.pages()
+    }
+    fn page_bytes(&self) -> usize {
+        self.0.page_bytes()
+    }
+    fn kind(&self, _page: u32) -> Kind {
+        Kind::Shadows
+    }
+    fn offset(&self, _page: u32) -> u64 {
+        0
+    }
+    fn storage(&self) -> Arc<dyn Storage> {
+        self.0.storage()
+    }
+    fn check(&self, _page: u32, _bytes: &[u8]) -> Result<(), String> {
+        Ok(())
+    }
+    fn name(&self) -> String {
+        "computed".into()
+    }
+}
+
+/// With few pages, and with many, of which the oldest are found in another way.
+#[test]
+fn pages_that_are_computed_stay_while_others_are_read_once() {
+    for room in [64_u64, 150] {
+        let (set, client, _, _) = set(room, 10_000, 0);
+        let read = set.add(Arc::new(Source(zeros(1 << 16, PAGE, 0))));
+        let made = set.add(Arc::new(Computed(Source(zeros(8, PAGE, 0)))));
+        let mut left = 0..read.pages();
+        let mut read_some = |count: u64| {
+            for page in left.by_ref().take(count as usize) {
+                drop(client.retain(&read, page).expect("room"));
+            }
+            (0..8).filter(|&page| made.is_resident(page)).count()
+        };
+        for page in 0..8 {
+            let fill = |_: &mut [u8]| Ok::<(), PageFault>(());
+            drop(client.retain_computed(&made, page, fill).expect("room"));
+        }
+        assert_eq!(read_some(64 * room), 8, "{room}");
+        // But not for ever.
+        assert_eq!(read_some(256 * room), 0, "{room}");
+    }
+}
+
 fn hints_taken(client: &PageClient, object: &Arc<Object>) -> usize {
     client.hint(object, &(20..60).collect::<Vec<_>>(), 8 * PAGE)
 }

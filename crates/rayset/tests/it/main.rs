@@ -41,6 +41,7 @@ mod las_peer;
 mod las_writer;
 mod layers;
 mod lod;
+mod lod_shadows;
 mod many_threads;
 mod meshes;
 mod normals;

@@ -106,7 +106,7 @@ impl Gathering<'_> {
         let (cloud, shading) = (self.place.cloud, &self.volume.shading);
         let (simd, on) = (to.splatter.simd, (self.place.packet, self.request.slab, self.lanes));
         let (run, header) = (points.run(index), cloud.header());
-        let key = RunKey { cloud: shading.number(), page, number: index as u16, what };
+        let key = RunKey { cloud: shading.number(), page, number: index as u16, what, sight: 0 };
         let from_afar = self.place.seen_from_afar().filter(|_| cut.node != NONE);
         let Some(seen) = from_afar else {
             let of = (&shading.decoder, &run, header);
@@ -166,7 +166,7 @@ impl Gathering<'_> {
                 }
                 let what = RunPart::Spread(here.len() as u16);
                 let cloud_number = self.volume.shading.number();
-                let key = RunKey { cloud: cloud_number, page: number, number: index as u16, what };
+                let key = RunKey { cloud: cloud_number, page: number, number: index as u16, what, sight: 0 };
                 to.add(on, |batch, _| {
                     batch.append_made((key, None), on, simd, |_, out| {
                         seen.lod.decoder.decode_records(

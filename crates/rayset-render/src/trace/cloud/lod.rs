@@ -3,6 +3,7 @@
 use crate::field::{AttributeColumns, FarDecoder, Kernel, Sight};
 use crate::lod::CrossSections;
 use crate::scene::{CloudObject, ColorRule, Lod, MapInput, Scene, largest_stretch};
+use crate::trace::node_samples::RequiredOutputs;
 use rayset_base::geometry::{Aabb, DAffine3, DMat3};
 use rayset_files::octree::aggregates::{AggregateHeader, CellPlace};
 
@@ -58,9 +59,9 @@ impl CloudLod {
         Some(Self { factor, beyond, aggregates, decoder, stretch })
     }
 
-    /// Sets which attributes fields carry, and whether they do directions across what is flat.
-    pub(super) fn carry(&mut self, columns: &AttributeColumns, normals: bool) {
-        self.decoder.carry(columns, normals);
+    /// Sets which attributes fields carry, and what else the required outputs need.
+    pub(super) fn carry(&mut self, columns: &AttributeColumns, required: &RequiredOutputs) {
+        self.decoder.carry(columns, required.normal, required.color);
     }
 
     /// Bytes that it takes besides itself.

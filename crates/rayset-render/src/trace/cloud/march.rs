@@ -32,8 +32,9 @@ const CUT_BYTES: usize = 1280 << 10;
 
 /// Memory for decoded runs is borrowed if no more than one part in so many of that of pages is.
 const KEPT_PART: u64 = 32;
-/// The same for what is seen from afar; and how much it is, or else.
+/// The same for what is seen from afar by eyes, and by lights; and how much it is, or else.
 const FAR_PART: u64 = 4;
+const FAR_PART_OF_LIGHTS: u64 = 9;
 const FAR_BYTES: [u64; 4] = [24 << 20, 10 << 20, 5 << 20, 3 << 19];
 
 /// What the runs of a batch take of more columns than those of densities have.
@@ -120,10 +121,12 @@ impl CloudScratch {
 
     /// The same for what is seen of a cloud from afar, which takes long to make.
     fn find_room_from_afar(&mut self, access: Access<'_>) {
+        let is_of_light = access.sight.is_some_and(|sight| !sight.is_shown);
+        let part = if is_of_light { FAR_PART_OF_LIGHTS } else { FAR_PART };
         // So much that there is as much for each thread.
-        let most = access.pages.share_bytes() / (FAR_PART * access.threads as u64);
+        let most = access.pages.share_bytes() / (part * access.threads as u64);
         let bytes = FAR_BYTES.into_iter().find(|&bytes| bytes <= most);
-        let lend = || bytes.and_then(|bytes| access.pages.lend(bytes, FAR_PART));
+        let lend = || bytes.and_then(|bytes| access.pages.lend(bytes, part));
         let Some(room) = self.far_room.after(lend) else { return };
         let bytes = match &room {
             Room::Lent(loan) => loan.bytes() as usize,

@@ -110,8 +110,9 @@ impl CloudPlacement {
         })
     }
 
-    /// How the cloud is seen, in local space.
+    /// How the cloud is seen, in local space; `None` of splats that are not shown.
     pub(in crate::trace) fn local_sight(&self, sight: Option<&Sight>) -> Option<Sight> {
+        let sight = sight.filter(|sight| sight.is_shown || !self.are_splats);
         sight.map(|sight| self.local_from_world.as_ref().map_or(*sight, |map| sight.transformed(map)))
     }
 

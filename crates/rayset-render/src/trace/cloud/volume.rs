@@ -41,7 +41,7 @@ impl CloudVolume<Unopened> {
     pub(in crate::trace) fn carry(&mut self, required: RequiredOutputs, names: &[Arc<str>]) {
         let columns = self.shading.carry(self.placement.header(), required, names);
         if let Some(lod) = &mut self.lod {
-            lod.carry(columns, required.normal);
+            lod.carry(columns, &required);
         }
     }
 

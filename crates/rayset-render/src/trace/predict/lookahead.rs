@@ -343,10 +343,10 @@ impl<'a> Lookahead<'a> {
         // Rays from the eye may come to these pages at any time.
         let use_by = self.state.order.len();
         let foresight = &self.world.foresight;
-        for RaysToLight { rays, tile } in shadows.rays_ahead(&places, &found.tiles_of_lights) {
+        for RaysToLight { rays, tile, sight } in shadows.rays_ahead(&places, &found.tiles_of_lights) {
             let complete = shadows.foresight.each_page(
                 &shadows.program,
-                (self.pages, None),
+                (self.pages, sight.as_ref()),
                 &rays,
                 1.0,
                 |file, page| {

@@ -97,11 +97,25 @@ impl Far {
         (camera, width, height): (&Camera, u32, u32),
         lod: Lod,
     ) -> Result<Option<Self>, ScanError> {
+        let sight = camera.ray_maker(width, height).expect("a valid camera").sight();
+        Self::with_sight(object, unit_distance, sight, lod)
+    }
+
+    /// What is seen of a cloud by an eye, or by a light. `None` if the file has no aggregates, or
+    /// every point is seen.
+    ///
+    /// # Errors
+    /// [`ScanError`] if the file cannot be read or is damaged.
+    pub fn with_sight(
+        object: &CloudObject,
+        unit_distance: f64,
+        sight: Sight,
+        lod: Lod,
+    ) -> Result<Option<Self>, ScanError> {
         let Some((factor, spread)) = lod.pixels() else { return Ok(None) };
         let Some(file) = File::load(&object.cloud, object.kernel.integral(), object.normalised)? else {
             return Ok(None);
         };
-        let sight = camera.ray_maker(width, height).expect("a valid camera").sight();
         let sight = Sight { pixel: sight.pixel * factor, ..sight };
         let (gaussians, densities) = (Vec::new(), Vec::new());
         let kernel = (object.kernel.integral(), object.kernel.variance());

@@ -3,8 +3,9 @@
 use std::collections::HashSet;
 
 use super::place::toward;
+use super::sights::Octave;
 use super::world::{LightWithShadows, ShadowWorld};
-use crate::field::LANES;
+use crate::field::{LANES, Sight};
 use rayset_base::geometry::{DVec3, Ray};
 
 /// A place that will be lit, and how wide its pixel is there; world space.
@@ -22,6 +23,8 @@ pub(in crate::trace) struct RaysToLight {
     pub(in crate::trace) rays: Vec<Ray>,
     /// The tile that they make, if they make one.
     pub(in crate::trace) tile: Option<TileOfLight>,
+    /// How they see what is far.
+    pub(in crate::trace) sight: Option<Sight>,
 }
 
 impl ShadowWorld {
@@ -40,14 +43,17 @@ impl ShadowWorld {
             let Some(LightWithShadows { light, table, .. }) = light else { continue };
             let Some(table) = table else {
                 let some = places.iter().step_by(places.len().div_ceil(MOST_PLACES).max(1));
-                let rays: Vec<Ray> = some
-                    .filter_map(|lit| {
-                        let (direction, _) = toward(light, lit.place)?;
-                        Some(Ray { origin: lit.place, direction })
-                    })
-                    .collect();
-                packets
-                    .extend(rays.chunks(LANES).map(|rays| RaysToLight { rays: rays.to_vec(), tile: None }));
+                let rays = some.filter_map(|lit| {
+                    let (direction, _) = toward(light, lit.place)?;
+                    Some((self.octaves.of(lit.pixel_width), Ray { origin: lit.place, direction }))
+                });
+                let mut rays: Vec<(Octave, Ray)> = rays.collect();
+                rays.sort_by_key(|(octave, _)| *octave);
+                for some in rays.chunk_by(|a, b| a.0 == b.0).flat_map(|alike| alike.chunks(LANES)) {
+                    let sight = self.octaves.sight(some[0].0, light).map(|(sight, _)| sight);
+                    let rays = some.iter().map(|(_, ray)| *ray).collect();
+                    packets.push(RaysToLight { rays, tile: None, sight });
+                }
                 continue;
             };
             for lit in places {
@@ -55,8 +61,12 @@ impl ShadowWorld {
                 let tile = (number, texel.tile);
                 if !known.contains(&tile) && fresh.insert(tile) && !table.tiles.is_resident(texel.tile) {
                     let rays = table.map.rays(texel.tile);
-                    let of_tile =
-                        rays.chunks(LANES).map(|rays| RaysToLight { rays: rays.to_vec(), tile: Some(tile) });
+                    let sight = table.sight(texel.tile).map(|of_tile| of_tile.sight);
+                    let of_tile = rays.chunks(LANES).map(|rays| RaysToLight {
+                        rays: rays.to_vec(),
+                        tile: Some(tile),
+                        sight,
+                    });
                     packets.extend(of_tile);
                 }
             }

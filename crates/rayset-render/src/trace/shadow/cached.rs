@@ -17,12 +17,11 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use super::map::{TILE_CELLS, Texel};
-use super::place::{lit_place, toward};
+use super::place::{SlabToLight, toward};
 use super::table::DeepShadowMap;
 use super::transmittance::{self, TransmittanceCurves};
 use super::world::{LightWithShadows, ShadowWorld};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, Slab};
-use crate::scene::Footprint;
 use crate::trace::access::{Access, Halt};
 use crate::trace::cloud::Remaining;
 use crate::trace::composite::{Absorption, RayState, Shares};
@@ -70,30 +69,26 @@ impl<'a> DeepShadowLookups<'a> {
         &mut self,
         access: Access<'_>,
         light: &LightWithShadows,
-        table: &DeepShadowMap,
-        packet: &Packet,
-        slab: Slab,
-        node: &NodeSamples,
-        (footprints, weights): (&[Footprint; LANES], &[f32; LANES]),
-        (shares, wanted): (&Shares, &[u32; LANES]),
+        table: &'a DeepShadowMap,
+        samples: SlabToLight<'_>,
+        (weights, shares, wanted): (&[f32; LANES], &Shares, &[u32; LANES]),
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
     ) -> Result<[u32; LANES], Halt> {
         let mut undecided = [0_u32; LANES];
-        let reach_world = self.maker.world.steps.boundary_steps() * packet.step_world();
+        let reach_world = self.maker.world.steps.boundary_steps() * samples.packet.step_world();
         // The tile of the last look-up stays retained: neighbouring samples mostly share it.
         let mut last: Option<(u32, PageGuard)> = None;
         let mut lanes = shares.lanes();
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize;
             lanes &= lanes - 1;
-            let mut samples = wanted[lane];
-            while samples != 0 {
-                let j = samples.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
-                samples &= samples - 1;
-                let place = lit_place(packet, node, (lane, j), slab.first + j as u64, reach_world);
-                let width = footprints[lane].at(packet.sample_t_world(lane, slab.first + j as u64));
-                let Some(texel) = table.map.texel(place, width) else {
+            let mut left = wanted[lane];
+            while left != 0 {
+                let j = left.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
+                left &= left - 1;
+                let place = samples.place((lane, j), reach_world);
+                let Some(texel) = table.map.texel(place, samples.pixel_width((lane, j))) else {
                     rows[lane].0[j] = 1.0;
                     continue;
                 };
@@ -114,7 +109,7 @@ impl<'a> DeepShadowLookups<'a> {
                     last = Some((texel.tile, guard));
                 }
                 let Some((_, guard)) = &last else { continue };
-                let lookup = Lookup::new(light, packet, node, (lane, j), (place, reach_world), &texel);
+                let lookup = Lookup::new(light, samples, (lane, j), (place, reach_world), &texel);
                 let corners = lookup.corners(guard, &texel);
                 rows[lane].0[j] = between(corners, texel.within);
                 let share = weights[lane] * shares.share[lane].0[j];
@@ -151,8 +146,7 @@ impl Lookup {
     #[inline(always)]
     fn new(
         light: &LightWithShadows,
-        packet: &Packet,
-        node: &NodeSamples,
+        SlabToLight { packet, node, .. }: SlabToLight<'_>,
         (lane, j): (usize, usize),
         (place, reach_world): (DVec3, f64),
         texel: &Texel,
@@ -214,7 +208,7 @@ struct TileMaker<'a> {
     curves: TransmittanceCurves,
 }
 
-impl TileMaker<'_> {
+impl<'a> TileMaker<'a> {
     /// Whether a tile is not there and cannot be made in this attempt; asks for the pages that its
     /// rays are expected to need.
     fn lacks(
@@ -229,8 +223,8 @@ impl TileMaker<'_> {
         }
         if asked.insert((Arc::as_ptr(&table.tiles) as usize, tile)) {
             let rays = table.map.rays(tile);
-            let packets = rays.chunks(LANES);
-            self.world.foresight.ask(&self.world.program, access, packets);
+            let access = access.seen(table.sight(tile).map(|of_tile| of_tile.sight));
+            self.world.foresight.ask(&self.world.program, access, rays.chunks(LANES));
         }
         access.is_lacking()
     }
@@ -239,7 +233,7 @@ impl TileMaker<'_> {
     fn make(
         &mut self,
         access: Access<'_>,
-        table: &DeepShadowMap,
+        table: &'a DeepShadowMap,
         tile: u32,
         bytes: &mut [u8],
         counts: &mut RenderCounts,
@@ -255,7 +249,9 @@ impl TileMaker<'_> {
             curves: &mut self.curves,
             counts,
         };
-        self.march.slabs(access.unseen(), &rays, &mut tracing)?;
+        let seen = table.sight(tile);
+        self.march.set_steps(seen.map_or(&self.world.steps, |of_tile| &of_tile.steps));
+        self.march.slabs(access.seen(seen.map(|of_tile| of_tile.sight)), &rays, &mut tracing)?;
         self.curves.encode(bytes);
         Ok(())
     }

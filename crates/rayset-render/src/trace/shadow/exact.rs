@@ -2,7 +2,8 @@
 //! reference, for small pictures; with deep shadow maps, they decide the samples that the maps
 //! cannot.
 
-use super::place::{lit_place, toward};
+use super::place::{SlabToLight, toward};
+use super::sights::Octave;
 use super::world::ShadowWorld;
 use crate::field::{LANES, Packet, SampleRow, Slab};
 use crate::scene::Light;
@@ -33,6 +34,8 @@ struct ToLight {
     step_world: f64,
     /// Distance of the light; infinite for a directional light.
     light: f64,
+    /// How it sees what is far.
+    octave: Octave,
     lane: usize,
     /// Sample number within the slab.
     j: usize,
@@ -50,81 +53,102 @@ impl<'a> ShadowRays<'a> {
 
     /// Fills the rows of some samples, a bit for each: sample after sample, each on all rays, so
     /// that a packet of shadow rays has origins at about the same depth.
-    #[expect(clippy::too_many_arguments, reason = "one light on one slab of one packet")]
     pub(super) fn find(
         &mut self,
         access: Access<'_>,
         light: &Light,
-        packet: &Packet,
-        slab: Slab,
-        node: &NodeSamples,
-        samples: &[u32; LANES],
+        samples: SlabToLight<'_>,
+        wanted: &[u32; LANES],
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
     ) -> Result<(), Halt> {
         if access.foresees.is_some() {
-            self.ask_ahead(access, light, packet, slab, node, samples);
+            self.ask_ahead(access, light, samples, wanted);
             if access.is_lacking() {
                 return Ok(());
             }
         }
         let mut rays = Vec::with_capacity(LANES);
-        for (lane, j) in lit(packet, slab, samples) {
-            match to_light(light, self.world.steps.boundary_steps(), packet, slab, node, (lane, j)) {
+        for (lane, j) in lit(samples, wanted) {
+            match self.to_light(light, samples, (lane, j)) {
                 Some(ray) => rays.push(ray),
                 // The sample is at the position of the light.
                 None => rows[lane].0[j] = 1.0,
             }
             if rays.len() == LANES {
-                self.trace_all(access, &rays, counts, rows)?;
+                self.trace_all((access, light), &rays, counts, rows)?;
                 rays.clear();
             }
         }
-        self.trace_all(access, &rays, counts, rows)
+        self.trace_all((access, light), &rays, counts, rows)
     }
 
     /// Asks for the pages that the rays of some samples are expected to need.
-    fn ask_ahead(
+    fn ask_ahead(&self, access: Access<'_>, light: &Light, samples: SlabToLight<'_>, wanted: &[u32; LANES]) {
+        let rays = lit(samples, wanted).filter_map(|of| self.to_light(light, samples, of));
+        let mut rays: Vec<(Octave, Ray)> = rays.map(|to| (to.octave, to.ray)).collect();
+        rays.sort_by_key(|(octave, _)| *octave);
+        for alike in rays.chunk_by(|a, b| a.0 == b.0) {
+            let sight = self.world.octaves.sight(alike[0].0, light).map(|(sight, _)| sight);
+            let rays: Vec<Ray> = alike.iter().map(|(_, ray)| *ray).collect();
+            self.world.foresight.ask(&self.world.program, access.seen(sight), rays.chunks(LANES));
+        }
+    }
+
+    /// The ray from a sample to a light; `None` if the sample is at the position of the light.
+    fn to_light(
         &self,
-        access: Access<'_>,
         light: &Light,
-        packet: &Packet,
-        slab: Slab,
-        node: &NodeSamples,
-        samples: &[u32; LANES],
-    ) {
-        let rays = lit(packet, slab, samples)
-            .filter_map(|of| to_light(light, self.world.steps.boundary_steps(), packet, slab, node, of));
-        let rays: Vec<Ray> = rays.map(|to| to.ray).collect();
-        self.world.foresight.ask(&self.world.program, access, rays.chunks(LANES));
+        samples: SlabToLight<'_>,
+        (lane, j): (usize, usize),
+    ) -> Option<ToLight> {
+        let packet = samples.packet;
+        let reach_world = self.world.steps.boundary_steps() * packet.step_world();
+        let origin = samples.place((lane, j), reach_world);
+        let (direction, distance) = toward(light, origin)?;
+        Some(ToLight {
+            ray: Ray { origin, direction },
+            sample_offset: packet.sample_offset(lane),
+            step_world: packet.step_world(),
+            light: distance,
+            octave: self.world.octaves.of(samples.pixel_width((lane, j))),
+            lane,
+            j,
+        })
     }
 
     /// Traces at most one packet of rays. Each result is the same, bit for bit, as if the ray were
     /// traced alone.
     fn trace_all(
         &mut self,
-        access: Access<'_>,
+        (access, light): (Access<'_>, &Light),
         rays: &[ToLight],
         counts: &mut RenderCounts,
         rows: &mut [SampleRow],
     ) -> Result<(), Halt> {
-        if rays.is_empty() {
-            return Ok(());
-        }
-        let all = (0..rays.len()).collect();
-        for members in coherent_groups(|i| &rays[i].ray, all, rays[0].step_world) {
-            let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
-            self.trace(access, &rays, counts)?;
-            for (place, to) in rays.iter().enumerate() {
-                rows[to.lane].0[to.j] = self.states[place].transmittance as f32;
+        let mut octaves: Vec<usize> = (0..rays.len()).collect();
+        octaves.sort_by_key(|&i| rays[i].octave);
+        for alike in octaves.chunk_by(|&a, &b| rays[a].octave == rays[b].octave) {
+            let step_world = rays[alike[0]].step_world;
+            for members in coherent_groups(|i| &rays[i].ray, alike.to_vec(), step_world) {
+                let rays: Vec<ToLight> = members.iter().map(|&i| rays[i]).collect();
+                self.trace((access, light), &rays, counts)?;
+                for (place, to) in rays.iter().enumerate() {
+                    rows[to.lane].0[to.j] = self.states[place].transmittance as f32;
+                }
             }
         }
         Ok(())
     }
 
-    /// Leaves the transmittance of each ray in its state. A ray begins half a step of its sample
-    /// from there, so that no sample shadows itself.
-    fn trace(&mut self, access: Access<'_>, rays: &[ToLight], counts: &mut RenderCounts) -> Result<(), Halt> {
+    /// Leaves the transmittance of each ray of one octave in its state. A ray begins half a step of
+    /// its sample from there, so that no sample shadows itself.
+    fn trace(
+        &mut self,
+        (access, light): (Access<'_>, &Light),
+        rays: &[ToLight],
+        counts: &mut RenderCounts,
+    ) -> Result<(), Halt> {
         let half = |to: &ToLight| 0.5 * to.step_world;
         let shifted = |to: &ToLight| (Ray { origin: to.ray.at(half(to)), ..to.ray }, to.sample_offset);
         let lanes: Vec<(Ray, f64)> = rays.iter().map(shifted).collect();
@@ -138,7 +162,9 @@ impl<'a> ShadowRays<'a> {
             shares: &mut self.shares,
             counts,
         };
-        self.march.slabs(access.unseen(), &lanes, &mut tracing)?;
+        let (sight, steps) = self.world.octaves.sight(rays[0].octave, light).unzip();
+        self.march.set_steps(steps.unwrap_or(&self.world.steps));
+        self.march.slabs(access.seen(sight), &lanes, &mut tracing)?;
         Ok(())
     }
 }
@@ -198,39 +224,16 @@ fn cut_off(packet: &Packet, slab: Slab, limits: &[f64], node: &mut NodeSamples) 
     }
 }
 
-/// The lanes and numbers of the samples of a slab whose bits are set: sample after sample, each on
+/// The lanes and numbers of the samples whose bits are set: sample after sample, each on
 /// all rays.
 fn lit<'s>(
-    packet: &Packet,
-    slab: Slab,
-    samples: &'s [u32; LANES],
+    samples: SlabToLight<'_>,
+    wanted: &'s [u32; LANES],
 ) -> impl Iterator<Item = (usize, usize)> + use<'s> {
-    let lanes = packet.len();
-    let any = samples.iter().fold(0, |any, lane| any | lane);
-    let numbers = (0..slab.samples).filter(move |j| any >> j & 1 == 1);
+    let lanes = samples.packet.len();
+    let any = wanted.iter().fold(0, |any, lane| any | lane);
+    let numbers = (0..samples.slab.samples).filter(move |j| any >> j & 1 == 1);
     numbers.flat_map(move |j| {
-        (0..lanes).filter(move |&lane| samples[lane] >> j & 1 == 1).map(move |lane| (lane, j))
-    })
-}
-
-/// The ray from a sample to a light; `None` if the sample is at the position of the light.
-fn to_light(
-    light: &Light,
-    boundary_steps: f64,
-    packet: &Packet,
-    slab: Slab,
-    node: &NodeSamples,
-    (lane, j): (usize, usize),
-) -> Option<ToLight> {
-    let reach_world = boundary_steps * packet.step_world();
-    let origin = lit_place(packet, node, (lane, j), slab.first + j as u64, reach_world);
-    let (direction, distance) = toward(light, origin)?;
-    Some(ToLight {
-        ray: Ray { origin, direction },
-        sample_offset: packet.sample_offset(lane),
-        step_world: packet.step_world(),
-        light: distance,
-        lane,
-        j,
+        (0..lanes).filter(move |&lane| wanted[lane] >> j & 1 == 1).map(move |lane| (lane, j))
     })
 }

@@ -1,5 +1,6 @@
 //! The rays of a light: lattices over everything it may light, from fine to coarse.
 
+use crate::field::{Eye, Sight};
 use crate::scene::{Light, LightKind};
 use rayset_base::geometry::{Aabb, DVec3, Ray};
 
@@ -112,11 +113,29 @@ impl LightMap {
         self.levels.last().map_or(0, |l| l.first_tile + self.faces.len() as u32 * l.side() * l.side())
     }
 
+    /// The number of the level that a tile is of, and of its face.
+    fn level_and_face(&self, tile: u32) -> (usize, usize) {
+        let number = self.levels.iter().rposition(|level| level.first_tile <= tile).unwrap_or(0);
+        let level = &self.levels[number];
+        (number, ((tile - level.first_tile) / (level.side() * level.side())) as usize)
+    }
+
+    /// How the rays of each face of each level see, of which cells are the pixels.
+    pub(super) fn sights(&self) -> impl Iterator<Item = Sight> {
+        self.levels.iter().flat_map(|level| self.faces.iter().map(|face| face.sight(level.resolution)))
+    }
+
+    /// The number of the sight of a tile.
+    pub(super) fn sight_of(&self, tile: u32) -> usize {
+        let (level, face) = self.level_and_face(tile);
+        level * self.faces.len() + face
+    }
+
     /// The rays of a tile, row by row. They start at the light, or at the plane of parallel rays.
     pub(super) fn rays(&self, tile: u32) -> Vec<Ray> {
-        let level = self.levels.iter().rfind(|level| level.first_tile <= tile).unwrap_or(&self.levels[0]);
+        let (level, face) = self.level_and_face(tile);
+        let (level, face) = (&self.levels[level], &self.faces[face]);
         let (side, corners, tile) = (level.side(), TILE_CELLS + 1, tile - level.first_tile);
-        let face = &self.faces[(tile / (side * side)) as usize];
         let (bx, by) = (tile % side, tile / side % side);
         let place = |b: u32, c: u32| f64::from(b * TILE_CELLS + c) / f64::from(level.resolution) * 2.0 - 1.0;
         (0..corners * corners).map(|i| face.ray(place(bx, i % corners), place(by, i / corners))).collect()
@@ -172,6 +191,14 @@ impl Face {
         let right = forward.any_orthonormal_vector();
         let parallel = [(DVec3::ZERO, 0.0); 3];
         Self { origin, forward, right, up: right.cross(forward), half, diverges, parallel }
+    }
+
+    fn sight(&self, resolution: u32) -> Sight {
+        let pixel = 2.0 * self.half / f64::from(resolution);
+        let corner_cosine =
+            if self.diverges { (1.0 + 2.0 * self.half * self.half).sqrt().recip() } else { 1.0 };
+        let eye = if self.diverges { Eye::At(self.origin) } else { Eye::Along(self.forward) };
+        Sight { eye, forward: self.forward, pixel, corner_cosine, is_shown: false }
     }
 
     fn ray(&self, u: f64, v: f64) -> Ray {
@@ -244,6 +271,9 @@ mod tests {
             let coarsest = size >= 3.9 * finest.size();
             prop_assert!(pixel_width.is_nan() || coarsest || size >= 0.06 * pixel_width, "{size}, {pixel_width}");
             let rays = map.rays(texel.tile);
+            let sights: Vec<Sight> = map.sights().collect();
+            let cell = sights[map.sight_of(texel.tile)].pixel_at(place);
+            prop_assert!(cell <= 1.001 * texel.size() && cell >= 0.19 * texel.size(), "{cell}, {}", texel.size());
             let ray = |i: u32, j: u32| rays[((texel.cell.1 + j) * (TILE_CELLS + 1) + texel.cell.0 + i) as usize];
             for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                 let away = ray(i, j).at(texel.distance).distance(place);

@@ -9,6 +9,7 @@ mod map;
 mod place;
 mod shadows;
 mod sharing;
+mod sights;
 mod table;
 mod transmittance;
 mod world;

@@ -1,26 +1,44 @@
 //! Where samples are lit, and in which direction their lights are.
 
-use crate::field::Packet;
-use crate::scene::{Light, LightKind};
+use crate::field::{LANES, Packet, Slab};
+use crate::scene::{Footprint, Light, LightKind};
 use crate::trace::node_samples::NodeSamples;
 use rayset_base::geometry::DVec3;
 
-/// The position at which a sample is lit: on the boundary if it is at most `reach_world` behind
-/// one, otherwise its own.
-#[inline(always)]
-pub(super) fn lit_place(
-    packet: &Packet,
-    node: &NodeSamples,
-    (lane, j): (usize, usize),
-    sample: u64,
-    reach_world: f64,
-) -> DVec3 {
-    let place = packet.ray(lane).at(packet.sample_t_world(lane, sample));
-    let depth = -f64::from(node.boundary[lane].0[j]);
-    if !(depth > 0.0 && depth <= reach_world) {
-        return place;
+/// The samples of a slab, by lane and number.
+#[derive(Clone, Copy)]
+pub(super) struct SlabToLight<'s> {
+    pub(super) packet: &'s Packet,
+    pub(super) slab: Slab,
+    pub(super) node: &'s NodeSamples,
+    /// How wide the pixels of the rays are.
+    pub(super) footprints: &'s [Footprint; LANES],
+}
+
+impl SlabToLight<'_> {
+    /// The distance of a sample along its ray.
+    #[inline(always)]
+    fn t_world(&self, (lane, j): (usize, usize)) -> f64 {
+        self.packet.sample_t_world(lane, self.slab.first + j as u64)
     }
-    place + node.normal_at(lane, j) * depth
+
+    /// How wide the pixel of a sample is there; world space.
+    #[inline(always)]
+    pub(super) fn pixel_width(&self, (lane, j): (usize, usize)) -> f64 {
+        self.footprints[lane].at(self.t_world((lane, j)))
+    }
+
+    /// The position at which a sample is lit: on the boundary if it is at most `reach_world` behind
+    /// one, otherwise its own.
+    #[inline(always)]
+    pub(super) fn place(&self, (lane, j): (usize, usize), reach_world: f64) -> DVec3 {
+        let place = self.packet.ray(lane).at(self.t_world((lane, j)));
+        let depth = -f64::from(self.node.boundary[lane].0[j]);
+        if !(depth > 0.0 && depth <= reach_world) {
+            return place;
+        }
+        place + self.node.normal_at(lane, j) * depth
+    }
 }
 
 /// Direction and distance from a position to a light; the distance is infinite for directional

@@ -2,10 +2,12 @@
 
 use super::cached::{DeepShadowLookups, TILE_MAKER_BYTES};
 use super::exact::ShadowRays;
+use super::place::SlabToLight;
 use super::sharing::SharedShadows;
+use super::sights::Octaves;
 use super::world::{LightWithShadows, ShadowWorld};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
-use crate::scene::{Footprint, Lighting, Scene};
+use crate::scene::{Footprint, Lighting, RenderSettings, Scene};
 use crate::trace::access::{Access, Halt};
 use crate::trace::composite::Shares;
 use crate::trace::counts::RenderCounts;
@@ -28,17 +30,19 @@ pub(in crate::trace) struct Shadows<'a> {
 
 impl<'a> Shadows<'a> {
     /// The most bytes that shadows take of a scene, besides their tables: once, and in each thread.
-    pub(in crate::trace) fn most_bytes(scene: &Scene) -> (usize, usize) {
+    pub(in crate::trace) fn most_bytes(scene: &Scene, settings: &RenderSettings) -> (usize, usize) {
         let Lighting::Lit(lights) = &scene.lighting else { return (0, 0) };
         let of_lights = lights.len() * size_of::<Option<LightWithShadows>>();
         if !scene.lighting.throws_shadows() {
             return (of_lights, 0);
         }
-        let program = Program::compile(scene, Purpose::Shadow, SimdLevel::default());
+        let seen = (Purpose::Shadow, settings.lod);
+        let program = Program::compile_seen(scene, seen, SimdLevel::default());
+        let of_octaves = Octaves::bytes(program.instructions.len());
         let rows =
             lights.iter().filter(|light| light.throws_shadows()).count() * LANES * size_of::<SampleRow>();
         // One march for rays, one for tables.
-        (of_lights + program.bytes(), 2 * March::most_bytes(&program) + rows + TILE_MAKER_BYTES)
+        (of_lights + of_octaves + program.bytes(), 2 * March::most_bytes(&program) + rows + TILE_MAKER_BYTES)
     }
 
     pub(in crate::trace) fn new(world: &'a ShadowWorld, slab_samples: usize) -> Self {
@@ -75,7 +79,8 @@ impl<'a> Shadows<'a> {
         counts: &mut RenderCounts,
     ) -> Result<&ShadowRows, Halt> {
         self.shared.choose(slab, &self.weights, shares);
-        let samples = &self.shared.computed.clone();
+        let wanted = &self.shared.computed.clone();
+        let samples = SlabToLight { packet, slab, node, footprints: &self.footprints };
         for (number, (light, rows)) in self.world.lights.iter().zip(&mut self.rows).enumerate() {
             let (Some(with_shadows), Some(rows)) = (light, rows) else { continue };
             let LightWithShadows { light, table, .. } = with_shadows;
@@ -85,17 +90,14 @@ impl<'a> Shadows<'a> {
                         access,
                         with_shadows,
                         table,
-                        packet,
-                        slab,
-                        node,
-                        (&self.footprints, &self.weights),
-                        (shares, samples),
+                        samples,
+                        (&self.weights, shares, wanted),
                         counts,
                         rows,
                     )?;
-                    self.exact.find(access, light, packet, slab, node, &undecided, counts, rows)?;
+                    self.exact.find(access, light, samples, &undecided, counts, rows)?;
                 }
-                None => self.exact.find(access, light, packet, slab, node, samples, counts, rows)?,
+                None => self.exact.find(access, light, samples, wanted, counts, rows)?,
             }
             self.shared.spread(number, rows);
         }

@@ -4,8 +4,8 @@ use std::io;
 use std::sync::Arc;
 
 use super::map::LightMap;
-use crate::scene::{Light, Lighting, Scene, Shadows};
-use rayset_base::geometry::Aabb;
+use super::sights::LightSight;
+use crate::scene::{Lighting, Scene, Shadows};
 use rayset_store::working_set::read::Storage;
 use rayset_store::working_set::{Kind, Object, PageSource, WorkingSet};
 
@@ -16,6 +16,9 @@ pub(in crate::trace) const SHADOW_TILE_BYTES: usize = 16 << 10;
 pub(in crate::trace) struct DeepShadowMap {
     pub(super) map: LightMap,
     pub(super) tiles: Arc<Object>,
+    /// How the rays of each tile see, by the number that the map has for it; none if nothing is
+    /// seen from afar.
+    sights: Vec<LightSight>,
     pages: WorkingSet,
 }
 
@@ -32,17 +35,15 @@ impl DeepShadowMap {
             .sum()
     }
 
-    /// The map of a light that casts shadows; `None` if the scene is empty or the light has no
-    /// rays.
-    pub(in crate::trace) fn new(
-        light: &Light,
-        bounds: &Aabb,
-        resolution: u32,
-        pages: &WorkingSet,
-    ) -> Option<Self> {
-        let map = LightMap::new(light, bounds, resolution)?;
+    /// Over a map, of whose sights these are.
+    pub(super) fn new(map: LightMap, sights: Vec<LightSight>, pages: &WorkingSet) -> Self {
         let tiles = pages.add(Arc::new(TileSource { tiles: map.tiles() }));
-        Some(Self { map, tiles, pages: pages.clone() })
+        Self { map, tiles, sights, pages: pages.clone() }
+    }
+
+    /// How the rays of a tile see, if they see anything from afar.
+    pub(super) fn sight(&self, tile: u32) -> Option<&LightSight> {
+        self.sights.get(self.map.sight_of(tile))
     }
 }
 

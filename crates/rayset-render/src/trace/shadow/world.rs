@@ -1,5 +1,7 @@
 //! The scene as shadow rays see it; it is constant for a given scene and lights.
 
+use super::map::LightMap;
+use super::sights::{LightSight, Octaves, sees_from_afar};
 use super::table::DeepShadowMap;
 use crate::field::SimdLevel;
 use crate::scene::{Light, LightKind, Lighting, RenderSettings, Scene, Shadows};
@@ -24,7 +26,10 @@ pub(super) struct LightWithShadows {
 pub(in crate::trace) struct ShadowWorld {
     /// The graph, compiled for its opacity only.
     pub(in crate::trace) program: Program,
+    /// Of rays that see every point.
     pub(super) steps: StepRule,
+    /// How rays from samples see what is far.
+    pub(super) octaves: Octaves,
     pub(super) absorption: Absorption,
     /// What its rays are expected to need.
     pub(in crate::trace) foresight: Foresight,
@@ -47,20 +52,33 @@ impl ShadowWorld {
         if !scene.lighting.throws_shadows() {
             return Ok(None);
         }
-        let program = Program::compile(scene, Purpose::Shadow, simd).open(paged)?;
+        let program = Program::compile_seen(scene, (Purpose::Shadow, settings.lod), simd).open(paged)?;
         let bounds = scene.root.bounds();
-        let table = |light: &Light| match settings.shadows {
-            Shadows::Cached { resolution } => DeepShadowMap::new(light, &bounds, resolution, &paged.pages),
-            Shadows::Exact => None,
+        let table = |light: &Light| {
+            let Shadows::Cached { resolution } = settings.shadows else { return Ok(None) };
+            let Some(map) = LightMap::new(light, &bounds, resolution) else { return Ok(None) };
+            let seen = map.sights().filter(|_| sees_from_afar(&program));
+            let seen = seen.map(|sight| LightSight::new(&program, settings, sight));
+            let sights = seen.collect::<Result<_, RenderError>>()?;
+            Ok::<_, RenderError>(Some(DeepShadowMap::new(map, sights, &paged.pages)))
         };
         let lights = lights.iter().map(|light| {
+            if !light.throws_shadows() {
+                return Ok(None);
+            }
             let direction = match light.kind {
                 LightKind::Directional { direction } => Some(-direction.normalize()),
                 _ => None,
             };
-            light.throws_shadows().then(|| LightWithShadows { light: *light, direction, table: table(light) })
+            Ok(Some(LightWithShadows { light: *light, direction, table: table(light)? }))
         });
-        let foresight = Foresight::new(&program, absorption.stop_transmittance);
-        Ok(Some(Self { program, steps: steps.clone(), absorption, foresight, lights: lights.collect() }))
+        Ok(Some(Self {
+            lights: lights.collect::<Result<_, RenderError>>()?,
+            steps: steps.clone(),
+            octaves: Octaves::new(&program, settings, &bounds)?,
+            absorption,
+            foresight: Foresight::new(&program, absorption.stop_transmittance),
+            program,
+        }))
     }
 }

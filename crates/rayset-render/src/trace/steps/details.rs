@@ -83,6 +83,11 @@ impl<'p> Details<'p> {
         }
     }
 
+    /// For packets from now on.
+    pub(in crate::trace) fn set_rule(&mut self, rule: &'p StepRule) {
+        self.rule = rule;
+    }
+
     /// Starts a packet; `ticks` are those that may lie in the bounds of each instruction.
     pub(in crate::trace) fn begin(&mut self, packet: &Packet, ticks: &[Option<(u64, u64)>]) {
         self.chords.clear();

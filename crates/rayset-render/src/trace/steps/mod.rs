@@ -107,8 +107,8 @@ struct Floors {
 }
 
 impl StepRule {
-    /// Of a picture with a sight, the steps of its rays from the eye; otherwise those of rays that
-    /// see nothing from afar.
+    /// The steps of rays with a sight, from an eye or of a light; otherwise those of rays that see
+    /// nothing from afar.
     pub(super) fn new(
         program: &Program,
         settings: &RenderSettings,
