@@ -36,8 +36,12 @@ pub struct RunBatch {
     sight_number: u16,
 }
 
-/// More sights than there mostly are: by each of 24 widths of pixels of a few lights and clouds.
-const MOST_SIGHTS: usize = 256;
+/// More sights than there mostly are: of some ten faces and levels of tables and 24 widths of
+/// pixels for each light, in the space of each cloud.
+const MOST_SIGHTS: usize = 512;
+
+/// Bytes of all of them.
+pub(crate) const SIGHTS_BYTES: usize = MOST_SIGHTS * size_of::<Sight>();
 
 /// What became of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -195,7 +199,7 @@ impl RunBatch {
         if self.sights.get(usize::from(self.sight_number)) == Some(&sight) {
             return;
         }
-        let known = self.sights.iter().position(|known| *known == sight);
+        let known = self.sights.iter().rposition(|known| *known == sight);
         let number = known.unwrap_or_else(|| {
             if self.sights.len() == MOST_SIGHTS {
                 self.sights.clear();

@@ -66,7 +66,10 @@ impl FarDecoder {
     /// follow from densities.
     pub(crate) fn carry(&mut self, columns: &AttributeColumns, normals: bool, colors: bool) {
         self.has_normals = normals;
-        self.colors_densities &= colors;
+        if !colors {
+            self.colors_densities = false;
+            self.sections.forget_colors();
+        }
         let color = |display: f64| {
             if columns.color_as_displayed { display } else { linear_from_srgb(display) }
         };

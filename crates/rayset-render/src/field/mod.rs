@@ -36,6 +36,7 @@ mod values;
 mod widen;
 
 pub use crate::math::linear_from_srgb;
+pub(crate) use batch::SIGHTS_BYTES;
 pub use batch::{Appended, BATCH_BYTES, RunBatch};
 pub use columns::AttributeColumns;
 pub use counts::SplatCounts;

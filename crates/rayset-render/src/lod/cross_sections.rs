@@ -66,6 +66,11 @@ impl CrossSections {
         Self { colors: colors.collect(), ..self }
     }
 
+    /// Forgets the colours of densities.
+    pub(crate) fn forget_colors(&mut self) {
+        self.colors = Vec::new();
+    }
+
     fn place(bins: &DensityBins, bin: usize) -> usize {
         let begins = (i32::from(bins.top) - bin as i32) * bins.width.half_octaves();
         let at = begins.clamp(-MOST_HALF_OCTAVES, MOST_HALF_OCTAVES - 1) + MOST_HALF_OCTAVES;

@@ -10,6 +10,7 @@
 //! [`MOST_LOOKED_AT`] younger pages. If there are only [`FEW`] pages, all of them are searched for
 //! the oldest.
 
+use std::cmp::Reverse;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -37,10 +38,18 @@ pub(super) struct Evicted {
     pub(super) resident: Resident,
 }
 
-/// How old a page is that was last used at a time.
-fn age(kind: Kind, last_use: u64, now: u64) -> u64 {
+/// How old a page is that was last used at a time: of two, the one with the larger goes first.
+type Age = (u64, Reverse<u64>);
+
+/// Of pages that are equally old, among them all that stay, the one goes whose time is lower.
+fn age(kind: Kind, last_use: u64, now: u64) -> Age {
     let unused = now.saturating_sub(last_use);
-    if kind == Kind::Shadows { unused / SLOWER } else { unused }
+    (if kind == Kind::Shadows { unused / SLOWER } else { unused }, Reverse(last_use))
+}
+
+/// Whether a page is older than one that is read and was last used at a time.
+fn is_older(age: Age, before: u64, now: u64) -> bool {
+    before > now || age.0 > now - before
 }
 
 impl Evicted {
@@ -166,17 +175,15 @@ impl EvictionQueue {
     /// Searches all pages for the oldest that is not retained, and was last used before a time.
     fn take_oldest(&mut self, obstacle: Obstacle, before: u64, now: u64) -> Option<(Kind, Entry, Resident)> {
         loop {
-            // Those that are read first: of pages of one age, they go first.
-            let mut oldest: Option<(u64, Kind, usize)> = None;
+            let mut oldest: Option<(Age, Kind, usize)> = None;
             for kind in obstacle.kinds() {
                 let queue = &mut self.queues[kind.index()].by_age;
                 queue.retain(|entry| entry.last_use_if_current().is_some());
                 for (at, entry) in queue.iter().enumerate() {
-                    if let Some((last_use, false)) = entry.last_use_if_current()
-                        && last_use < before
-                        && oldest.is_none_or(|(oldest, ..)| age(kind, last_use, now) > oldest)
-                    {
-                        oldest = Some((age(kind, last_use, now), kind, at));
+                    let Some((last_use, false)) = entry.last_use_if_current() else { continue };
+                    let age = age(kind, last_use, now);
+                    if is_older(age, before, now) && oldest.is_none_or(|(oldest, ..)| age > oldest) {
+                        oldest = Some((age, kind, at));
                     }
                 }
             }
@@ -214,7 +221,8 @@ impl EvictionQueue {
                 Outcome::Younger(last_use) => {
                     let entry = Entry { last_use, ..entry };
                     let oldest = oldest_younger.as_ref().map(|(kind, other)| age(*kind, other.last_use, now));
-                    if last_use < before && oldest.is_none_or(|oldest| age(kind, last_use, now) > oldest) {
+                    let age = age(kind, last_use, now);
+                    if is_older(age, before, now) && oldest.is_none_or(|oldest| age > oldest) {
                         oldest_younger = Some((kind, entry.clone()));
                     }
                     queue.push_back(entry);
@@ -247,9 +255,8 @@ impl EvictionQueue {
         let fronts = obstacle
             .kinds()
             .filter_map(|kind| Some((kind, self.queues[kind.index()].by_age.front()?.last_use)));
-        let (kind, _) = fronts
-            .filter(|&(_, entered)| entered < before)
-            .min_by_key(|&(kind, entered)| std::cmp::Reverse(age(kind, entered, now)))?;
+        let ages = fronts.map(|(kind, entered)| (age(kind, entered, now), kind));
+        let (_, kind) = ages.filter(|&(age, _)| is_older(age, before, now)).max_by_key(|&(age, _)| age)?;
         self.queues[kind.index()].by_age.pop_front().map(|entry| (kind, entry))
     }
 

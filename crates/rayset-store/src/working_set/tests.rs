@@ -1,6 +1,7 @@
 //! Tests that need the inside of a working set: waits that end, pages whose computation fails,
 //! hints that are settled.
 
+use std::cell::RefCell;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -304,6 +305,18 @@ fn pages_that_are_computed_stay_while_others_are_read_once() {
         // But not for ever.
         assert_eq!(read_some(256 * room), 0, "{room}");
     }
+}
+
+/// Rays come last to what was used last.
+#[test]
+fn of_pages_that_stay_the_one_goes_that_was_used_last() {
+    let (_set, client, object, _) = set(8, 10_000, 0);
+    let reuse = RefCell::new(Reuse::default());
+    assert_eq!(client.hint_to_stay(&object, &(0..8).collect::<Vec<_>>(), &reuse), 8);
+    until_resident(&object, 0..8);
+    (0..8).for_each(|page| drop(client.retain(&object, page).expect("room")));
+    drop(client.retain(&object, 20).expect("room"));
+    assert!(object.is_resident(0) && !object.is_resident(7));
 }
 
 fn hints_taken(client: &PageClient, object: &Arc<Object>) -> usize {

@@ -8,8 +8,8 @@ use super::live_rays::LiveRays;
 use super::request::Request;
 use super::volume::CloudVolume;
 use crate::field::{
-    BATCH_BYTES, Channels, FarScratch, FieldSamples, KEPT_BYTES, LANES, Packet, RunBatch, RunPart, SampleRow,
-    Sight, SimdLevel, Splatter,
+    BATCH_BYTES, Channels, FarScratch, FieldSamples, KEPT_BYTES, LANES, Packet, RunBatch, RunPart,
+    SIGHTS_BYTES, SampleRow, Sight, SimdLevel, Splatter,
 };
 use crate::lod::SPREAD;
 use crate::trace::access::{Access, Halt};
@@ -93,8 +93,11 @@ impl CloudScratch {
         // Of class labels, the label and what speaks for it.
         let rows = 2 * channels + if from_afar { SPREAD_ROWS + 2 * channels } else { 0 };
         let sums = rows * LANES * size_of::<SampleRow>();
-        let columns =
-            if from_afar { MORE_COLUMNS_BYTES + LeafCuts::BYTES + size_of::<FarScratch>() } else { 0 };
+        let columns = if from_afar {
+            MORE_COLUMNS_BYTES + SIGHTS_BYTES + LeafCuts::BYTES + size_of::<FarScratch>()
+        } else {
+            0
+        };
         if clouds > 0 { BATCH_BYTES as usize + columns + sums } else { 0 }
     }
 
@@ -123,7 +126,8 @@ impl CloudScratch {
     fn find_room_from_afar(&mut self, access: Access<'_>) {
         let is_of_light = access.sight.is_some_and(|sight| !sight.is_shown);
         let part = if is_of_light { FAR_PART_OF_LIGHTS } else { FAR_PART };
-        // So much that there is as much for each thread.
+        // So much that there is as much for each thread: of its two marches to lights, for the one
+        // that asks first.
         let most = access.pages.share_bytes() / (part * access.threads as u64);
         let bytes = FAR_BYTES.into_iter().find(|&bytes| bytes <= most);
         let lend = || bytes.and_then(|bytes| access.pages.lend(bytes, part));

@@ -133,7 +133,9 @@ impl<'t> Opening<'t> {
             Some(leaf) => leaf.left.as_ref().is_none_or(|left| !left.is_empty()),
             None => part.rest > 0.0,
         };
-        if node.own.runs > 0 && some_left {
+        // Its points reach less far than what stands for them.
+        let near = self.place.points_as_seen(node.bounds(self.place.cloud.root_cell));
+        if node.own.runs > 0 && some_left && rays.ticks_in(packet, &near).is_some() {
             let of_node = self.cut.nodes.len() as u32;
             self.cut.nodes.push(PointsOfNode { part, edge, leaf, last: u64::MAX });
             let last = self.open_own(node, walk, of_node)?;

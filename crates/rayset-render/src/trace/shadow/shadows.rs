@@ -4,7 +4,8 @@ use super::cached::{DeepShadowLookups, TILE_MAKER_BYTES};
 use super::exact::ShadowRays;
 use super::place::SlabToLight;
 use super::sharing::SharedShadows;
-use super::sights::Octaves;
+use super::sights::{LightSight, Octaves, sees_from_afar};
+use super::table::DeepShadowMap;
 use super::world::{LightWithShadows, ShadowWorld};
 use crate::field::{LANES, Packet, SLAB_SAMPLES, SampleRow, SimdLevel, Slab};
 use crate::scene::{Footprint, Lighting, RenderSettings, Scene};
@@ -38,11 +39,17 @@ impl<'a> Shadows<'a> {
         }
         let seen = (Purpose::Shadow, settings.lod);
         let program = Program::compile_seen(scene, seen, SimdLevel::default());
-        let of_octaves = Octaves::bytes(program.instructions.len());
+        let instructions = program.instructions.len();
+        let of_sights = if sees_from_afar(&program) {
+            let of_tables = DeepShadowMap::sights_of(scene, settings.shadows);
+            Octaves::bytes(instructions) + of_tables * LightSight::bytes(instructions)
+        } else {
+            0
+        };
         let rows =
             lights.iter().filter(|light| light.throws_shadows()).count() * LANES * size_of::<SampleRow>();
         // One march for rays, one for tables.
-        (of_lights + of_octaves + program.bytes(), 2 * March::most_bytes(&program) + rows + TILE_MAKER_BYTES)
+        (of_lights + of_sights + program.bytes(), 2 * March::most_bytes(&program) + rows + TILE_MAKER_BYTES)
     }
 
     pub(in crate::trace) fn new(world: &'a ShadowWorld, slab_samples: usize) -> Self {

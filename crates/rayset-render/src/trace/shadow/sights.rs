@@ -20,6 +20,11 @@ pub(super) fn sees_from_afar<P>(program: &Program<P>) -> bool {
 }
 
 impl LightSight {
+    /// Bytes of one, in a program of so many instructions.
+    pub(super) fn bytes(instructions: usize) -> usize {
+        size_of::<Self>() + instructions * size_of::<i32>()
+    }
+
     pub(super) fn new(
         program: &Program,
         settings: &RenderSettings,

@@ -25,14 +25,20 @@ pub(in crate::trace) struct DeepShadowMap {
 impl DeepShadowMap {
     /// Total number of tiles of all maps of a scene.
     pub(in crate::trace) fn tiles_of(scene: &Scene, shadows: Shadows) -> u64 {
-        let (Lighting::Lit(lights), Shadows::Cached { resolution }) = (&scene.lighting, shadows) else {
-            return 0;
-        };
+        Self::maps_of(scene, shadows).map(|map| u64::from(map.tiles())).sum()
+    }
+
+    /// Number of sights of all maps of a scene.
+    pub(super) fn sights_of(scene: &Scene, shadows: Shadows) -> usize {
+        Self::maps_of(scene, shadows).map(|map| map.sights().count()).sum()
+    }
+
+    fn maps_of(scene: &Scene, shadows: Shadows) -> impl Iterator<Item = LightMap> {
+        let lights = if let Lighting::Lit(lights) = &scene.lighting { lights.as_slice() } else { &[] };
+        let resolution = if let Shadows::Cached { resolution } = shadows { Some(resolution) } else { None };
         let bounds = scene.root.bounds();
         let maps = lights.iter().filter(|light| light.throws_shadows());
-        maps.filter_map(|light| LightMap::new(light, &bounds, resolution))
-            .map(|map| u64::from(map.tiles()))
-            .sum()
+        maps.filter_map(move |light| LightMap::new(light, &bounds, resolution?))
     }
 
     /// Over a map, of whose sights these are.
