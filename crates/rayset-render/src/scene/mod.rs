@@ -38,6 +38,7 @@ pub use noise::NoiseCloud;
 pub use path::{CameraPath, PathError};
 pub use procedural::{Pattern, Procedural, ProceduralSample};
 pub use solid::{Form, Solid};
+pub(crate) use transfer::SOLID_OPACITY;
 pub use transfer::{
     ColorMap, ColorRule, MAX_OPACITY, MapInput, OpacityRule, Palette, TransferError, TransferFunction,
 };

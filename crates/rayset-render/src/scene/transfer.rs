@@ -14,6 +14,8 @@ use rayset_base::bytes::list_bytes;
 
 /// Opacity is limited to this, so that extinction stays finite.
 pub const MAX_OPACITY: f64 = 1.0 - 1.0 / 4096.0;
+/// Samples of this opacity or more are inside of something solid.
+pub(crate) const SOLID_OPACITY: f64 = 0.999;
 
 /// Maps density to opacity.
 #[derive(Clone, Debug, PartialEq)]

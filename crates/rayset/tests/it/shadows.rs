@@ -17,6 +17,7 @@ use rayset::trace::{ExecSettings, render_once};
 use crate::common::{Random, build_at, folder, look, paged, picture, settings};
 
 /// Scenes of one kind, about two units wide, whose solids hide what lies behind them within 0.01.
+#[derive(Clone)]
 struct Kind {
     name: &'static str,
     scene: Scene,
@@ -288,6 +289,35 @@ fn a_floor_in_slanting_light_neither_shadows_itself_nor_needs_rays_beside_the_ta
         let [.., worst] = differences(&cached, &exact);
         assert!(worst < 1e-4, "{light:?}: {worst}");
         assert!(samples > 2000 && rays == 0, "{light:?}: {rays} rays for {samples} samples");
+    }
+}
+
+#[test]
+fn solids_do_not_shadow_themselves_however_fine_their_steps_are() {
+    let torus = solid(Form::Torus { major: 0.4, minor: 0.15 }, [0.5, 0.7, 0.9]);
+    let parts = || vec![floor(), moved(torus.clone(), 0.1, 0.3, 0.0)];
+    // From the eye, a lamp sees all that is visible; the sun sees all of a floor's upper side.
+    let lit = [
+        kind("lamp", parts(), vec![lamp(0.4, 2.4, 2.0)]),
+        kind("sun", vec![floor()], vec![sun(0.6, -1.0, 0.3)]),
+    ];
+    for (mut kind, shadows) in lit
+        .into_iter()
+        .flat_map(|kind| [(kind.clone(), Shadows::Exact), (kind, Shadows::Cached { resolution: 512 })])
+    {
+        // Light goes 0.004 deep.
+        kind.scene.unit_distance = 0.03;
+        for step in [0.01, 0.002, 0.0005] {
+            kind.step = step;
+            let (found, _) = shaded_at(32, &kind, shadows);
+            let mut unshaded = kind.clone();
+            let Lighting::Lit(lights) = &mut unshaded.scene.lighting else { unreachable!("it is lit") };
+            lights.iter_mut().for_each(|light| light.shadow = false);
+            let (all_light, _) = shaded_at(32, &unshaded, shadows);
+            let [mean, p99, _] = differences(&found, &all_light);
+            eprintln!("{} {shadows:?} {step}: {mean} {p99}", kind.name);
+            assert!(mean <= 0.002 && p99 <= 0.02, "{}, {shadows:?}, step {step}: {mean}, {p99}", kind.name);
+        }
     }
 }
 

@@ -21,7 +21,7 @@ use crate::field::{AttributeColumns, Kernel, Sight, linear_from_srgb};
 use crate::scene::{
     Camera, CameraError, Channel, CloudObject, ColorRule, Compositing, GridObject, LightKind, Lighting,
     MAX_OPACITY, MOST_ATTRIBUTES, MapInput, Material, Node, OpacityRule, Operator, Procedural,
-    RenderSettings, Scene, Shape, Transfer,
+    RenderSettings, SOLID_OPACITY, Scene, Shape, Transfer,
 };
 use rayset_base::geometry::{Aabb, DAffine3, DMat3, DVec3, Ray};
 use rayset_store::container::ScanError;
@@ -423,7 +423,11 @@ impl<'a> ReferenceRenderer<'a> {
             } else if light.throws_shadows() && distance > 0.0 {
                 // A sample just behind a boundary is lit as if it lay on the boundary.
                 let depth = -sample.boundary;
-                let on_boundary = depth > 0.0 && depth <= steps.boundary_reach(step);
+                let reach = steps.boundary_reach(step);
+                // Solids do not shadow themselves, however fine their steps are.
+                let is_solid = sample.opacity >= SOLID_OPACITY;
+                let reach = if is_solid { reach.max(self.scene.unit_distance) } else { reach };
+                let on_boundary = depth > 0.0 && depth <= reach;
                 let place = if on_boundary { q + sample.normal * depth } else { q };
                 let (toward, distance) = match light.kind {
                     LightKind::Point { position, .. } => {

@@ -76,7 +76,6 @@ impl<'a> DeepShadowLookups<'a> {
         rows: &mut [SampleRow],
     ) -> Result<[u32; LANES], Halt> {
         let mut undecided = [0_u32; LANES];
-        let reach_world = self.maker.world.steps.boundary_steps() * samples.packet.step_world();
         // The tile of the last look-up stays retained: neighbouring samples mostly share it.
         let mut last: Option<(u32, PageGuard)> = None;
         let mut lanes = shares.lanes();
@@ -87,7 +86,7 @@ impl<'a> DeepShadowLookups<'a> {
             while left != 0 {
                 let j = left.trailing_zeros() as usize & (SLAB_SAMPLES - 1);
                 left &= left - 1;
-                let place = samples.place((lane, j), reach_world);
+                let place = samples.place((lane, j));
                 let Some(texel) = table.map.texel(place, samples.pixel_width((lane, j))) else {
                     rows[lane].0[j] = 1.0;
                     continue;
@@ -109,7 +108,7 @@ impl<'a> DeepShadowLookups<'a> {
                     last = Some((texel.tile, guard));
                 }
                 let Some((_, guard)) = &last else { continue };
-                let lookup = Lookup::new(light, samples, (lane, j), (place, reach_world), &texel);
+                let lookup = Lookup::new(light, samples, (lane, j), place, &texel);
                 let corners = lookup.corners(guard, &texel);
                 rows[lane].0[j] = between(corners, texel.within);
                 let share = weights[lane] * shares.share[lane].0[j];
@@ -146,11 +145,12 @@ impl Lookup {
     #[inline(always)]
     fn new(
         light: &LightWithShadows,
-        SlabToLight { packet, node, .. }: SlabToLight<'_>,
+        samples: SlabToLight<'_>,
         (lane, j): (usize, usize),
-        (place, reach_world): (DVec3, f64),
+        place: DVec3,
         texel: &Texel,
     ) -> Self {
+        let SlabToLight { packet, node, .. } = samples;
         let distance = texel.distance - packet.sample_offset(lane) * packet.step_world();
         let normal = node.normal_at(lane, j);
         let toward = light.direction.or_else(|| toward(&light.light, place).map(|(toward, _)| toward));
@@ -160,7 +160,7 @@ impl Lookup {
         };
         let cosine = normal.dot(toward);
         let scattered = cosine.abs() as f32;
-        if f64::from(node.boundary[lane].0[j]).abs() > reach_world {
+        if f64::from(node.boundary[lane].0[j]).abs() > samples.reach_world((lane, j)) {
             return Self { distance, slope: (0.0, 0.0), scattered };
         }
         let gradient = (normal / cosine - toward).clamp_length_max(STEEPEST);

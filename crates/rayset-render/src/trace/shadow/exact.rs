@@ -103,8 +103,7 @@ impl<'a> ShadowRays<'a> {
         (lane, j): (usize, usize),
     ) -> Option<ToLight> {
         let packet = samples.packet;
-        let reach_world = self.world.steps.boundary_steps() * packet.step_world();
-        let origin = samples.place((lane, j), reach_world);
+        let origin = samples.place((lane, j));
         let (direction, distance) = toward(light, origin)?;
         Some(ToLight {
             ray: Ray { origin, direction },

@@ -87,7 +87,8 @@ impl<'a> Shadows<'a> {
     ) -> Result<&ShadowRows, Halt> {
         self.shared.choose(slab, &self.weights, shares);
         let wanted = &self.shared.computed.clone();
-        let samples = SlabToLight { packet, slab, node, footprints: &self.footprints };
+        let samples =
+            SlabToLight { packet, slab, node, footprints: &self.footprints, reach: self.world.reach };
         for (number, (light, rows)) in self.world.lights.iter().zip(&mut self.rows).enumerate() {
             let (Some(with_shadows), Some(rows)) = (light, rows) else { continue };
             let LightWithShadows { light, table, .. } = with_shadows;

@@ -1,6 +1,7 @@
 //! The scene as shadow rays see it; it is constant for a given scene and lights.
 
 use super::map::LightMap;
+use super::place::BoundaryReach;
 use super::sights::{LightSight, Octaves, sees_from_afar};
 use super::table::DeepShadowMap;
 use crate::field::SimdLevel;
@@ -31,6 +32,7 @@ pub(in crate::trace) struct ShadowWorld {
     /// How rays from samples see what is far.
     pub(super) octaves: Octaves,
     pub(super) absorption: Absorption,
+    pub(super) reach: BoundaryReach,
     /// What its rays are expected to need.
     pub(in crate::trace) foresight: Foresight,
     /// In the order of the scene's lights; `None` for those that cast no shadows.
@@ -77,6 +79,7 @@ impl ShadowWorld {
             steps: steps.clone(),
             octaves: Octaves::new(&program, settings, &bounds)?,
             absorption,
+            reach: BoundaryReach { steps: steps.boundary_steps(), solid_world: scene.unit_distance },
             foresight: Foresight::new(&program, absorption.stop_transmittance),
             program,
         }))
