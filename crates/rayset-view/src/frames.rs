@@ -66,9 +66,16 @@ struct Prepared {
     composed: Value,
     scene: PreparedScene,
     file: Arc<SceneFile>,
+    /// With which it was prepared.
+    lod: Lod,
 }
 
 impl Prepared {
+    /// Whether a draft with cells so wide is the same.
+    fn has_cells(&self, cells: f32) -> bool {
+        drafted(self.file.settings, cells).lod == self.lod
+    }
+
     fn seen(&self) -> VisibleScene {
         VisibleScene { file: self.file.clone(), scene: self.scene.clone() }
     }
@@ -82,12 +89,13 @@ impl Prepared {
 
 /// Settings with which a picture that moves is traced in a fraction of the time. Steps of a radius,
 /// four times the customary ones, hardly ever miss a surface. What is seen from afar is seen in
-/// coarser cells, and stays as sharp as the picture.
-fn drafted(settings: RenderSettings) -> RenderSettings {
+/// coarser cells, of gas at least so many pixels wide. Surfaces would have gaps between them:
+/// theirs are two pixels wide.
+fn drafted(settings: RenderSettings, cells: f32) -> RenderSettings {
     const STEPS: f64 = 4.0;
     const LONGEST_FRACTION: f64 = 1.0;
     const SHADOW_RESOLUTION: u32 = 256;
-    const CELLS: f32 = 4.0;
+    const SURFACE_CELLS: f32 = 2.0;
     let step = match settings.step {
         Step::Automatic { fraction } => {
             Step::Automatic { fraction: (STEPS * fraction).min(LONGEST_FRACTION).max(fraction) }
@@ -99,8 +107,8 @@ fn drafted(settings: RenderSettings) -> RenderSettings {
         _ => Shadows::Cached { resolution: SHADOW_RESOLUTION },
     };
     let lod = match settings.lod {
-        Lod::Footprint(factor) => Lod::Coarse((CELLS * factor).clamp(1.0, Lod::FACTORS.1)),
-        Lod::Coarse(factor) => Lod::Coarse(factor.max(CELLS)),
+        Lod::Footprint(factor) => Lod::Coarse((SURFACE_CELLS * factor).clamp(1.0, Lod::FACTORS.1)),
+        Lod::Coarse(factor) => Lod::Coarse(factor.max(cells)),
         other => other,
     };
     settings.with_step(step).with_shadows(shadows).with_lod(lod)
@@ -182,18 +190,19 @@ impl Frames {
 
     fn picture(&mut self, order: &Order) -> Result<(), Unfinished> {
         let show = &*order.show;
+        // What it may cost says which scene is needed, too.
+        let quick = (order.grade == Grade::Quick).then(|| self.pacing.next_size(show.size));
         let prepared = self.prepared(show, order.grade)?;
         let encode = prepared.file.display_transform.rgba8();
         let (scene, camera) = (prepared.scene.clone(), compose::camera(&show.camera));
         let looks_at_neighbours = prepared.looks_at_neighbours();
         self.tell_legend(&show.changes, scene.remarks())?;
-        match order.grade {
-            Grade::Quick => {
-                let [width, height] = self.pacing.next_size(show.size);
+        match quick {
+            Some([width, height]) => {
                 let view = scene.view_of_size(&camera, width, height)?.with_samples(1)?;
                 self.quick(order, &view, [width, height], scene.longest_step(), &encode)
             }
-            Grade::Fine => {
+            None => {
                 let view = scene.view_of_size(&camera, show.size[0], show.size[1])?;
                 self.fine(order, &view, looks_at_neighbours, &encode)
             }
@@ -220,12 +229,13 @@ impl Frames {
             return Ok(prepared);
         }
         let draft = self.without_camera(show, false)?;
-        let known = self.draft.take().filter(|known| known.composed == draft);
+        let cells = self.pacing.cells();
+        let known = self.draft.take().filter(|known| known.composed == draft && known.has_cells(cells));
         if known.is_none() && self.prepared.is_none() {
             // The one before makes room.
             self.current.set(None);
         }
-        let draft = known.map_or_else(|| self.prepare(draft, drafted), Ok)?;
+        let draft = known.map_or_else(|| self.prepare(draft, |settings| drafted(settings, cells)), Ok)?;
         if self.prepared.is_none() {
             self.current.set(Some(draft.seen()));
         }
@@ -264,9 +274,10 @@ impl Frames {
         let file = self.opened.parse(&composed).map_err(Unfinished::Problem)?;
         // Distances, with which the page moves a picture until the next has come. They change no
         // pixel.
-        let scene = self.session.prepare(&file.scene, &adapted(file.settings).with_depths(true))?;
+        let settings = adapted(file.settings).with_depths(true);
+        let scene = self.session.prepare(&file.scene, &settings)?;
         self.pin_nodes();
-        Ok(Prepared { composed, scene, file: Arc::new(file) })
+        Ok(Prepared { composed, scene, file: Arc::new(file), lod: settings.lod })
     }
 
     /// Tells the page what its changes show in which colours. Other changes may need no other

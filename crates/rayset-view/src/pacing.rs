@@ -1,4 +1,5 @@
-//! How many rays a moving picture may cost: as many as have been traced in a frame's time lately.
+//! What a moving picture may cost: as many rays as have been traced in a frame's time lately. Where
+//! even the fewest take too long, what is seen from afar is seen in coarser cells.
 
 use std::time::Duration;
 
@@ -14,21 +15,30 @@ const SHORT_ENOUGH: f64 = 0.8;
 const COARSEST: u32 = 12;
 /// A moving picture never has fewer rays than this, unless it has fewer pixels itself.
 const LEAST_RAYS: f64 = 160.0 * 90.0;
+/// Cells double in width when a frame of the fewest rays is expected to take longer than this, in
+/// seconds. They hide more than coarse pixels do, so slower frames are borne before.
+const SLOW_SECONDS: f64 = 0.08;
+/// How much sooner frames are expected with cells twice as wide.
+const OF_DOUBLED_CELLS: f64 = 0.5;
+/// Widths of cells in pixels of a frame, finest first.
+const CELLS: [f32; 3] = [4.0, 8.0, 16.0];
 
-/// Chooses the resolution of moving pictures.
+/// Chooses the resolution of moving pictures, and how coarse what is far is in them.
 #[derive(Clone, Debug)]
 pub(crate) struct Pacing {
     /// Seconds a ray, of the frames so far; recent ones count most.
     seconds_per_ray: f64,
     /// How often the number of rays is halved.
     halvings: u32,
+    /// The index of the width of cells.
+    level: usize,
 }
 
 impl Pacing {
     pub(crate) fn new() -> Self {
         // The first frame has the fewest rays: it is there the sooner, and tells how many the next
         // may have.
-        Self { seconds_per_ray: 1e-6, halvings: COARSEST }
+        Self { seconds_per_ray: 1e-6, halvings: COARSEST, level: 0 }
     }
 
     /// Takes note of a frame.
@@ -44,8 +54,14 @@ impl Pacing {
         self.traced(size, 3 * time);
     }
 
+    /// How wide the cells of what is seen from afar are, in pixels of the next frame.
+    pub(crate) fn cells(&self) -> f32 {
+        CELLS[self.level]
+    }
+
     /// The size of the next frame of a moving picture of a given size.
     pub(crate) fn next_size(&mut self, size: [u32; 2]) -> [u32; 2] {
+        self.choose_cells(size);
         let expected = |halvings| self.seconds_per_ray * rays(scaled(size, halvings));
         while self.halvings < COARSEST && expected(self.halvings) > TOO_LONG * FRAME_SECONDS {
             self.halvings += 1;
@@ -54,6 +70,20 @@ impl Pacing {
             self.halvings -= 1;
         }
         scaled(size, self.halvings)
+    }
+
+    /// Cells become finer before there are more rays, and coarser only when there are the fewest.
+    fn choose_cells(&mut self, size: [u32; 2]) {
+        let seconds = |of: [u32; 2]| self.seconds_per_ray * rays(of);
+        if self.level + 1 < CELLS.len() && seconds(scaled(size, COARSEST)) > SLOW_SECONDS {
+            self.level += 1;
+            self.seconds_per_ray *= OF_DOUBLED_CELLS;
+        } else if self.level > 0
+            && seconds(scaled(size, self.halvings)) < OF_DOUBLED_CELLS * SHORT_ENOUGH * SLOW_SECONDS
+        {
+            self.level -= 1;
+            self.seconds_per_ray /= OF_DOUBLED_CELLS;
+        }
     }
 }
 
@@ -90,6 +120,31 @@ mod tests {
                 pacing.traced(frame, Duration::from_micros(micros));
             }
         }
+    }
+
+    #[test]
+    fn cells_widen_where_the_fewest_rays_take_too_long_and_narrow_again() {
+        let mut pacing = Pacing::new();
+        let size = [1280, 720];
+        let mut after = |seconds_per_ray: [f64; 3], frames: usize| {
+            let mut seen = Vec::new();
+            for _ in 0..frames {
+                let next = pacing.next_size(size);
+                let level = CELLS.iter().position(|&cells| cells == pacing.cells()).expect("one of them");
+                pacing.traced(next, Duration::from_secs_f64(rays(next) * seconds_per_ray[level]));
+                seen.push((pacing.cells(), next));
+            }
+            seen
+        };
+        let fewest = scaled(size, COARSEST);
+        // The fewest rays take 130, 72 and 58 ms: with cells of eight pixels they are soon enough.
+        let slow = after([9e-6, 5e-6, 4e-6], 60);
+        assert!(slow[20..].iter().all(|&of| of == (8.0, fewest)), "{slow:?}");
+        // 430, 290 and 140 ms.
+        let slower = after([30e-6, 20e-6, 10e-6], 60);
+        assert!(slower[20..].iter().all(|&of| of == (16.0, fewest)), "{slower:?}");
+        let fast = after([0.2e-6, 0.15e-6, 0.1e-6], 60);
+        assert!(fast[30..].iter().all(|&(cells, size)| cells == 4.0 && size[0] > fewest[0]), "{fast:?}");
     }
 
     #[test]
